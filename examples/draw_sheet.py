@@ -1,0 +1,28 @@
+"""What do the models look like? Draw all of a lake on one contact sheet.
+
+Run it as ``python examples/draw_sheet.py demo/lake models.png``.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import breplake
+from breplake.queries.picture import draw_sheet
+
+LIMIT = 48  # pictures on the sheet
+
+
+def main(path: Path, picture: Path = Path("models.png")) -> None:
+    lake = breplake.open(path)
+    rows = lake.sql(
+        "SELECT name FROM models WHERE n_faces > 0 ORDER BY n_patches, name LIMIT $limit",
+        {"limit": LIMIT},
+    ).fetchall()
+    draw_sheet(lake, [name for (name,) in rows], picture)
+    print(f"{len(rows)} models, patches coloured by type: {picture}")
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:3]))

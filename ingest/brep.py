@@ -1,0 +1,356 @@
+"""Exact rows of a B-Rep: parts, patches, curves, coedges and corners."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from breplake.errors import InputError
+from breplake.ingest.clock import KERNEL
+from breplake.ingest.canonical import Canonical, PartShape, explore, shape_list
+from breplake.ingest.failure import advise
+from breplake.ingest.geometry import Row, curve_row, surface_row, untrimmed
+from breplake.ingest.load import Label
+from breplake.ingest.sharpness import Dihedral, classify
+
+__all__ = ["INFINITE", "Brep", "Coedge", "extract"]
+
+INFINITE: Final = 1e50
+"""Parameters beyond this are OCCT's way of saying infinite (``Precision::Infinite``)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Coedge:
+    """A use of a curve in a patch's loop; `internal` uses bound nothing."""
+
+    patch_id: int
+    loop: int
+    order: int
+    curve_id: int
+    reversed: bool
+    internal: bool
+
+
+@dataclass(slots=True)
+class Brep:
+    """A model's exact rows, with the shapes they came from.
+
+    Parameters
+    ----------
+    canonical : Canonical
+        The model's shapes.
+    faces, edges, vertices : list
+        Typed OCCT shapes by patch, curve and corner id.
+    surfaces : list
+        ``Geom_Surface`` by patch id, location applied.
+    parts, patches, curves, corners : list of dict
+        Rows without model_id.
+    coedges : list of Coedge
+        In order of patch, loop and place.
+    """
+
+    canonical: Canonical
+    faces: list[Any]
+    edges: list[Any]
+    vertices: list[Any]
+    surfaces: list[Any]
+    parts: list[Row]
+    patches: list[Row]
+    curves: list[Row]
+    coedges: list[Coedge]
+    corners: list[Row]
+
+    @property
+    def internal_curves(self) -> set[int]:
+        """Curves that lie inside patches without bounding any; Gmsh leaves them out."""
+        bounding = {use.curve_id for use in self.coedges if not use.internal}
+        return {use.curve_id for use in self.coedges if use.internal} - bounding
+
+
+def extract(canonical: Canonical, labels: Sequence[Label]) -> Brep:
+    """Derive all exact rows of a model.
+
+    Raises
+    ------
+    InputError
+        ``no-geometry`` if a face has no surface, ``unbounded`` if something is infinite.
+    """
+    from OCP.BRep import BRep_Tool
+    from OCP.TopoDS import TopoDS
+
+    faces = shape_list(canonical.faces, TopoDS.Face_s)
+    edges = shape_list(canonical.edges, TopoDS.Edge_s)
+    vertices = shape_list(canonical.vertices, TopoDS.Vertex_s)
+    surfaces = [untrimmed(BRep_Tool.Surface_s(face)) for face in faces]
+    for patch_id, surface in enumerate(surfaces):
+        if surface is None:
+            raise InputError("no-geometry", advise("no-geometry", f"patch {patch_id}"))
+    names = _names(canonical, labels)
+    part_of = _part_of_patch(canonical, len(faces))
+    coedges = [use for i, face in enumerate(faces) for use in _coedges(canonical, i, face)]
+    patches = [
+        _patch_row(i, face, surfaces[i], part_of[i]) | names["patch", i]
+        for i, face in enumerate(faces)
+    ]
+    parts = [_part_row(i, part) | names["part", i] for i, part in enumerate(canonical.parts)]
+    for patch in patches:
+        patch.setdefault("colour", parts[patch["part_id"]].get("colour"))
+    corners = [
+        {"corner_id": i, "point": _xyz(BRep_Tool.Pnt_s(v)), "tolerance": BRep_Tool.Tolerance_s(v)}
+        for i, v in enumerate(vertices)
+    ]
+    uses: dict[int, list[Coedge]] = defaultdict(list)
+    for use in coedges:
+        uses[use.curve_id].append(use)
+    curves = [
+        _curve_row(i, edge, canonical) | _role_row(edge, uses[i], faces, surfaces)
+        for i, edge in enumerate(edges)
+    ]
+    return Brep(
+        canonical, faces, edges, vertices, surfaces, parts, patches, curves, coedges, corners
+    )
+
+
+def _xyz(point: Any) -> Row:
+    return {"x": point.X(), "y": point.Y(), "z": point.Z()}
+
+
+def _names(canonical: Canonical, labels: Sequence[Label]) -> dict[tuple[str, int], Row]:
+    """Return names and colours by ("part" | "patch", id).
+
+    A label on a compound speaks for the parts in it that have no label of their own.
+    """
+    from OCP.TopAbs import TopAbs_ShapeEnum as Kind
+    from OCP.TopTools import TopTools_IndexedMapOfShape
+
+    part_map = TopTools_IndexedMapOfShape()
+    for part in canonical.parts:
+        part_map.Add(part.shape)
+    found: dict[tuple[str, int], Row] = defaultdict(dict)
+
+    def put(key: str, index: int, label: Label) -> None:
+        if index:
+            for column in ("name", "colour"):
+                if (value := getattr(label, column)) is not None:
+                    found[key, index - 1].setdefault(column, value)
+
+    wide = (Kind.TopAbs_COMPOUND, Kind.TopAbs_COMPSOLID)
+    for label in labels:
+        if label.shape.ShapeType() == Kind.TopAbs_FACE:
+            put("patch", canonical.faces.FindIndex(label.shape), label)
+        put("part", part_map.FindIndex(label.shape), label)
+    for label in labels:
+        if label.shape.ShapeType() in wide:
+            for kind in (Kind.TopAbs_SOLID, Kind.TopAbs_SHELL, Kind.TopAbs_FACE):
+                for shape in explore(label.shape, kind):
+                    put("part", part_map.FindIndex(shape), label)
+    return found
+
+
+def _part_of_patch(canonical: Canonical, n_patches: int) -> list[int]:
+    from OCP.TopAbs import TopAbs_ShapeEnum
+
+    owner = [-1] * n_patches
+    for part_id, part in enumerate(canonical.parts):
+        for face in explore(part.shape, TopAbs_ShapeEnum.TopAbs_FACE):
+            patch_id = canonical.faces.FindIndex(face) - 1
+            if owner[patch_id] < 0:
+                owner[patch_id] = part_id
+    return owner
+
+
+def _bounds(shape: Any) -> Row:
+    """Return the bounding box of a shape's geometry, without its tolerances."""
+    from OCP.Bnd import Bnd_Box
+    from OCP.BRepBndLib import BRepBndLib
+
+    box = Bnd_Box()
+    with KERNEL():
+        BRepBndLib.AddOptimal_s(shape, box, False, False)
+    if box.IsVoid() or box.IsOpen():
+        raise InputError("unbounded", advise("unbounded", "a part has no finite bounding box"))
+    return {"bbox_min": _xyz(box.CornerMin()), "bbox_max": _xyz(box.CornerMax())}
+
+
+def _part_row(part_id: int, part: PartShape) -> Row:
+    from OCP.BRepGProp import BRepGProp
+    from OCP.GProp import GProp_GProps
+
+    surface, solid = GProp_GProps(), GProp_GProps()
+    is_solid = part.kind == "solid"
+    with KERNEL():
+        BRepGProp.SurfaceProperties_s(part.shape, surface)
+        if is_solid:
+            BRepGProp.VolumeProperties_s(part.shape, solid)
+    # A solid of no volume has no centre of mass; its surface still has one.
+    centre = solid if is_solid and solid.Mass() else surface
+    return {
+        "part_id": part_id,
+        "kind": part.kind,
+        "volume": solid.Mass() if is_solid else None,
+        "area": surface.Mass(),
+        "centroid": _xyz(centre.CentreOfMass()),
+        "is_closed": _is_closed(part.shape),
+        **_bounds(part.shape),
+    }
+
+
+def _is_closed(shape: Any) -> bool:
+    """Tell whether every edge of the part is used an even number of times by its faces."""
+    from OCP.BRep import BRep_Tool
+    from OCP.TopAbs import TopAbs_Orientation, TopAbs_ShapeEnum
+    from OCP.TopoDS import TopoDS
+    from OCP.TopTools import TopTools_IndexedMapOfShape
+
+    bounding = (TopAbs_Orientation.TopAbs_FORWARD, TopAbs_Orientation.TopAbs_REVERSED)
+    edges, uses = TopTools_IndexedMapOfShape(), defaultdict(int)
+    for face in explore(shape, TopAbs_ShapeEnum.TopAbs_FACE):
+        for edge in explore(face, TopAbs_ShapeEnum.TopAbs_EDGE):
+            if edge.Orientation() in bounding and not BRep_Tool.Degenerated_s(TopoDS.Edge_s(edge)):
+                uses[edges.Add(edge)] += 1
+    return bool(uses) and all(count % 2 == 0 for count in uses.values())
+
+
+def _patch_row(patch_id: int, face: Any, surface: Any, part_id: int) -> Row:
+    from OCP.BRep import BRep_Tool
+    from OCP.BRepGProp import BRepGProp
+    from OCP.BRepTools import BRepTools
+    from OCP.GProp import GProp_GProps
+    from OCP.TopAbs import TopAbs_Orientation, TopAbs_ShapeEnum
+
+    u_min, u_max, v_min, v_max = BRepTools.UVBounds_s(face)
+    if max(abs(value) for value in (u_min, u_max, v_min, v_max)) > INFINITE:
+        raise InputError("unbounded", advise("unbounded", f"patch {patch_id}"))
+    properties = GProp_GProps()
+    with KERNEL():
+        BRepGProp.SurfaceProperties_s(face, properties)
+    kinds = (TopAbs_ShapeEnum.TopAbs_FACE, TopAbs_ShapeEnum.TopAbs_EDGE)
+    tolerances = [BRep_Tool.MaxTolerance_s(face, kind) for kind in kinds]
+    tolerances.append(BRep_Tool.MaxTolerance_s(face, TopAbs_ShapeEnum.TopAbs_VERTEX))
+    return {
+        "patch_id": patch_id,
+        "part_id": part_id,
+        "reversed": face.Orientation() == TopAbs_Orientation.TopAbs_REVERSED,
+        "u_min": u_min,
+        "u_max": u_max,
+        "v_min": v_min,
+        "v_max": v_max,
+        "area": properties.Mass(),
+        "n_loops": sum(1 for _ in explore(face, TopAbs_ShapeEnum.TopAbs_WIRE)),
+        "tolerance": max(tolerances),
+        **surface_row(surface),
+    }
+
+
+def _coedges(canonical: Canonical, patch_id: int, face: Any) -> list[Coedge]:
+    """Return a patch's coedges, outer loop first, each loop in the patch's orientation."""
+    from OCP.BRepTools import BRepTools
+    from OCP.TopAbs import TopAbs_Orientation, TopAbs_ShapeEnum
+    from OCP.TopoDS import TopoDS
+
+    flipped = face.Orientation() == TopAbs_Orientation.TopAbs_REVERSED
+    forward = TopoDS.Face_s(face.Oriented(TopAbs_Orientation.TopAbs_FORWARD))
+    wires = list(explore(forward, TopAbs_ShapeEnum.TopAbs_WIRE))
+    outer = BRepTools.OuterWire_s(forward)
+    wires.sort(key=lambda wire: not wire.IsSame(outer))
+    found = []
+    for loop, wire in enumerate(wires):
+        edges = _ordered_edges(TopoDS.Wire_s(wire), forward)
+        for order, edge in enumerate(reversed(edges) if flipped else edges):
+            orientation = edge.Orientation()
+            backward = orientation == TopAbs_Orientation.TopAbs_REVERSED
+            internal = orientation in (
+                TopAbs_Orientation.TopAbs_INTERNAL,
+                TopAbs_Orientation.TopAbs_EXTERNAL,
+            )
+            curve_id = canonical.edges.FindIndex(edge) - 1
+            found.append(
+                Coedge(patch_id, loop, order, curve_id, backward != flipped, internal)
+            )
+    return found
+
+
+def _ordered_edges(wire: Any, face: Any) -> list[Any]:
+    """Return a wire's edges head to tail, or in stored order where they do not connect."""
+    from OCP.BRepTools import BRepTools_WireExplorer
+    from OCP.TopAbs import TopAbs_ShapeEnum
+
+    stored = list(explore(wire, TopAbs_ShapeEnum.TopAbs_EDGE))
+    ordered = []
+    explorer = BRepTools_WireExplorer(wire, face)
+    while explorer.More() and len(ordered) <= len(stored):
+        ordered.append(explorer.Current())
+        explorer.Next()
+    return ordered if len(ordered) == len(stored) else stored
+
+
+def _curve_row(curve_id: int, edge: Any, canonical: Canonical) -> Row:
+    from OCP.BRep import BRep_Tool
+    from OCP.BRepAdaptor import BRepAdaptor_Curve
+    from OCP.GCPnts import GCPnts_AbscissaPoint
+    from OCP.TopExp import TopExp
+
+    curve = BRep_Tool.Curve_s(edge, 0.0, 0.0)
+    t_min, t_max = BRep_Tool.Range_s(edge)
+    if max(abs(t_min), abs(t_max)) > INFINITE:
+        raise InputError("unbounded", advise("unbounded", f"curve {curve_id}"))
+    length = None
+    if curve is not None:
+        with KERNEL():
+            length = GCPnts_AbscissaPoint.Length_s(BRepAdaptor_Curve(edge))
+    ends = [TopExp.FirstVertex_s(edge), TopExp.LastVertex_s(edge)]
+    corners = [None if v.IsNull() else canonical.vertices.FindIndex(v) - 1 for v in ends]
+    return {
+        "curve_id": curve_id,
+        **({"type": "Other"} if curve is None else curve_row(curve)),
+        "t_min": t_min,
+        "t_max": t_max,
+        "length": length,
+        "tolerance": BRep_Tool.Tolerance_s(edge),
+        "start_corner": corners[0],
+        "end_corner": corners[1],
+    }
+
+
+def _role_row(edge: Any, uses: list[Coedge], faces: list[Any], surfaces: list[Any]) -> Row:
+    """Return what the curve is to its patches, with the dihedral angle."""
+    from OCP.BRep import BRep_Tool
+
+    bounding = [use for use in uses if not use.internal]
+    left = next((use.patch_id for use in bounding if not use.reversed), None)
+    right = next((use.patch_id for use in bounding if use.reversed), None)
+    patches = sorted({use.patch_id for use in uses})
+    two_sided = len(bounding) == 2 and len({use.patch_id for use in bounding}) == 2
+    dihedral, stored = None, None
+    if BRep_Tool.Degenerated_s(edge):
+        kind = "degenerate"
+    elif not uses:
+        kind = "free"
+    elif not bounding:
+        kind = "smooth"
+    elif two_sided:
+        dihedral = Dihedral.measure(edge, bounding, faces, surfaces)
+        kind = classify(dihedral)
+        pair = (faces[bounding[0].patch_id], faces[bounding[1].patch_id])
+        if BRep_Tool.HasContinuity_s(edge, *pair):
+            stored = str(BRep_Tool.Continuity_s(edge, *pair).name).rpartition("_")[2]
+    elif len(bounding) == 2:
+        kind = "seam"
+    else:
+        kind = "boundary" if len(bounding) == 1 else "nonmanifold"
+    known = dihedral is not None and np.isfinite(dihedral.angle_min)
+    return {
+        "left_patch": left,
+        "right_patch": right,
+        "n_patches": len(patches),
+        "kind": kind,
+        "angle_min": dihedral.angle_min if dihedral and known else None,
+        "angle_max": dihedral.angle_max if dihedral and known else None,
+        "convexity": dihedral.convexity if dihedral and known else None,
+        "stored_continuity": stored,
+        "sharp": bool(dihedral and known and dihedral.sharp),
+    }

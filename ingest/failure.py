@@ -1,0 +1,70 @@
+"""Why an input failed: stable codes, and the advice that goes with each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+__all__ = ["KINDS", "STAGES", "Failure", "advise"]
+
+STAGES: Final = ("plan", "read", "load", "brep", "import", "mesh", "truth", "write")
+"""Stages of a model's way into the lake, in order."""
+
+KINDS: Final[dict[str, str]] = {
+    "empty-file": "the file has no bytes; export it again",
+    "not-a-file": "a CAD file is expected here; ingest goes into folders only when given as SOURCE",
+    "unreadable": "the file cannot be opened; check its permissions and the disk",
+    "bad-archive": "the compressed file cannot be unpacked; compress it again",
+    "read-failed": "Open CASCADE cannot parse the file; check that it is complete",
+    "translate-failed": "the file was parsed but its shapes could not be built; export it again",
+    "no-shape": "the file holds no shape at all; export the part and not only its metadata",
+    "no-patches": "the file holds curves or points but no surface, so there is nothing to mesh",
+    "no-geometry": "some face has no surface (a tessellated face, say); export exact geometry",
+    "unbounded": "some face or edge is infinite; trim it in the CAD system",
+    "count-mismatch": "Gmsh sees other entities than the B-Rep has; the exact rows are kept",
+    "mesh-failed": "Gmsh could not mesh the model this way; the next kind of mesh is tried",
+    "mesh-incomplete": "some patch got no triangles; the next kind of mesh is tried",
+    "truth-failed": "normals and curvatures could not be derived; the exact rows are kept",
+    "timeout": "the model took longer than allowed; raise --timeout",
+    "memory": "the model needed more memory than allowed; raise --memory",
+    "killed-signal": "the CAD kernel crashed on this model",
+    "worker-died": "the worker process ended without an answer",
+    "error": "an unexpected error; please report it with the file",
+}
+"""Stable, append-only codes of failures, each with what it means for the user."""
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """One failed attempt at a model.
+
+    Parameters
+    ----------
+    stage : str
+        A member of `STAGES`.
+    kind : str
+        A key of `KINDS`.
+    message : str
+        What happened, in detail.
+    fatal : bool
+        Whether the input has no row in ``models``.
+    signal : int, optional
+        Signal that killed the worker.
+    seconds : float
+        Wall time until the failure.
+    peak_memory : int, optional
+        Peak resident memory in bytes.
+    """
+
+    stage: str
+    kind: str
+    message: str
+    fatal: bool
+    signal: int | None = None
+    seconds: float = 0.0
+    peak_memory: int | None = None
+
+
+def advise(kind: str, detail: str) -> str:
+    """Join what happened and what helps into one message."""
+    return f"{detail.rstrip('. ')}: {KINDS[kind]}" if detail else KINDS[kind]

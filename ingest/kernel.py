@@ -1,0 +1,246 @@
+"""The model inside Gmsh: import, proof that its entities are ours, and evaluation.
+
+Gmsh bundles its own OCCT, so shapes cross over as BREP text, never as pointers. All calls
+are batched by entity: one Python call evaluates a whole patch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from breplake.errors import InputError
+from breplake.ingest.brep import Brep
+from breplake.ingest.clock import KERNEL
+from breplake.ingest.failure import advise
+from breplake.schema.jets import SurfaceJet
+from breplake.schema.surfaces import SurfaceSet
+from breplake.schema.tables import PATCHES
+
+__all__ = ["GmshModel", "gmsh_session", "groups"]
+
+_Floats = npt.NDArray[np.float64]
+_Ints = npt.NDArray[np.int64]
+
+_VANISHING: Final = 1e-9
+"""A derivative this much shorter than usual on its patch is zero but for rounding."""
+
+_OPTIONS: Final = {
+    "General.Terminal": 0,
+    "General.NumThreads": 1,
+    "General.Verbosity": 2,
+    "Geometry.OCCAutoFix": 0,
+    "Geometry.OCCFixDegenerated": 0,
+    "Geometry.OCCFixSmallEdges": 0,
+    "Geometry.OCCFixSmallFaces": 0,
+    "Geometry.OCCSewFaces": 0,
+    "Geometry.OCCMakeSolids": 0,
+    "Geometry.OCCParallel": 0,
+    "Geometry.OCCScaling": 1,
+    "Mesh.RandomSeed": 1,
+    "Mesh.MeshSizeFromPoints": 0,
+    "Mesh.MeshSizeExtendFromBoundary": 0,
+    "Mesh.Algorithm": 6,
+    "Mesh.Smoothing": 0,
+}
+"""All healing off: an entity that Gmsh repaired would no longer be the B-Rep's."""
+
+
+@contextmanager
+def gmsh_session() -> Iterator[Any]:
+    """Initialise Gmsh with our options for the duration of a block, and yield the module."""
+    import gmsh
+
+    gmsh.initialize(readConfigFiles=False, interruptible=False)
+    try:
+        for name, value in _OPTIONS.items():
+            gmsh.option.setNumber(name, value)
+        # Sticky across models in one process, so it is set for each.
+        gmsh.option.setString("Geometry.OCCTargetUnit", "")
+        yield gmsh
+    finally:
+        gmsh.finalize()
+
+
+class GmshModel:
+    """A B-Rep imported into Gmsh, addressed by our ids.
+
+    Parameters
+    ----------
+    gmsh : module
+        As yielded by `gmsh_session`.
+    brep : Brep
+        The exact model.
+    folder : Path
+        Temporary folder for the BREP file.
+
+    Raises
+    ------
+    InputError
+        ``count-mismatch`` if Gmsh's entities are not ours, one for one.
+    """
+
+    def __init__(self, gmsh: Any, brep: Brep, folder: Path) -> None:
+        from OCP.BRepTools import BRepTools
+
+        self.gmsh = gmsh
+        self.brep = brep
+        path = folder / "model.brep"
+        try:
+            with KERNEL():
+                BRepTools.Write_s(brep.canonical.compound, str(path))
+                gmsh.model.occ.importShapes(str(path), highestDimOnly=False, format="brep")
+                gmsh.model.occ.synchronize()
+        except Exception as error:  # gmsh raises plain Exception for everything
+            raise InputError("count-mismatch", advise("count-mismatch", str(error))) from error
+        finally:
+            path.unlink(missing_ok=True)
+        self._set_undefined(PATCHES.from_rows({"model_id": 0, **row} for row in brep.patches))
+        internal = brep.internal_curves
+        self.curve_ids = [i for i in range(len(brep.edges)) if i not in internal]
+        self.curve_tag = {curve_id: i + 1 for i, curve_id in enumerate(self.curve_ids)}
+        self._prove()
+
+    def _set_undefined(self, patches: Any) -> None:
+        """Take over from the closed forms where a normal or curvature is not defined.
+
+        Both sides then call the same points singular. Spheres are regular at their poles,
+        which derivatives alone cannot tell.
+        """
+        self.surfaces = SurfaceSet.from_patches(patches)
+        self.spheres = np.array([row["type"] == "Sphere" for row in self.brep.patches], dtype=bool)
+        size = np.sqrt([max(row["area"], 0.0) for row in self.brep.patches])  # (p,) mm
+        self.least = np.empty((len(size), 2))  # (p, 2) lengths of du and dv that count as zero
+        for axis, name in enumerate("uv"):
+            span = np.array([row[f"{name}_max"] - row[f"{name}_min"] for row in self.brep.patches])
+            usual = _VANISHING * size / np.where(span > 0, span, 1.0)
+            self.least[:, axis] = np.where(self.surfaces.known, self.surfaces.least[axis], usual)
+
+    def _prove(self) -> None:
+        """Check tags, ends and sample points of every entity against the B-Rep.
+
+        Raises
+        ------
+        InputError
+            ``count-mismatch``, naming the first entity that differs.
+        """
+        counts = (len(self.brep.vertices), len(self.curve_ids), len(self.brep.faces))
+        for dim, (name, ours) in enumerate(zip(("corners", "curves", "patches"), counts, strict=True)):
+            tags = sorted(tag for _, tag in self.gmsh.model.getEntities(dim))
+            if tags != list(range(1, ours + 1)):
+                raise self._mismatch(f"{name}: {ours} in the B-Rep, {len(tags)} in Gmsh")
+        for corner_id, corner in enumerate(self.brep.corners):
+            point = np.array([corner["point"][axis] for axis in "xyz"])
+            self._same("corner", corner_id, self.gmsh.model.getValue(0, corner_id + 1, []), point)
+        for curve_id in self.curve_ids:
+            self._prove_curve(curve_id)
+        for patch_id in range(len(self.brep.faces)):
+            self._prove_patch(patch_id)
+
+    def _prove_curve(self, curve_id: int) -> None:
+        from OCP.BRepAdaptor import BRepAdaptor_Curve
+
+        row = self.brep.curves[curve_id]
+        if row["kind"] == "degenerate":
+            return
+        t = row["t_min"] + 0.37 * (row["t_max"] - row["t_min"])
+        point = BRepAdaptor_Curve(self.brep.edges[curve_id]).Value(t)
+        ours = np.array([point.X(), point.Y(), point.Z()])
+        self._same("curve", curve_id, self.curve_points(curve_id, np.array([t]))[0], ours)
+        ends = {row["start_corner"], row["end_corner"]} - {None}
+        boundary = self.gmsh.model.getAdjacencies(1, self.curve_tag[curve_id])[1]
+        if {tag - 1 for tag in boundary} != ends:
+            raise self._mismatch(f"curve {curve_id} ends at other corners")
+
+    def _prove_patch(self, patch_id: int) -> None:
+        row = self.brep.patches[patch_id]
+        u = row["u_min"] + 0.37 * (row["u_max"] - row["u_min"])
+        v = row["v_min"] + 0.41 * (row["v_max"] - row["v_min"])
+        point = self.brep.surfaces[patch_id].Value(u, v)
+        ours = np.array([point.X(), point.Y(), point.Z()])
+        theirs = self.gmsh.model.getValue(2, patch_id + 1, [u, v])
+        self._same("patch", patch_id, theirs, ours)
+
+    def _same(self, what: str, index: int, theirs: Any, ours: _Floats) -> None:
+        distance = float(np.linalg.norm(np.asarray(theirs) - ours))
+        if not distance <= 1e-9 * max(1.0, float(np.abs(ours).max())):
+            raise self._mismatch(f"{what} {index} lies {distance:.3g} mm off")
+
+    def _mismatch(self, detail: str) -> InputError:
+        return InputError("count-mismatch", advise("count-mismatch", detail))
+
+    def curve_points(self, curve_id: int, t: _Floats) -> _Floats:
+        """Return points ``(n, 3)`` mm of a curve at parameters ``(n,)``."""
+        with KERNEL():
+            points = self.gmsh.model.getValue(1, self.curve_tag[curve_id], np.ascontiguousarray(t))
+        return np.asarray(points, dtype=np.float64).reshape(-1, 3)
+
+    def jet(self, patch_ids: _Ints, u: _Floats, v: _Floats) -> SurfaceJet:
+        """Evaluate surfaces with first and second derivatives.
+
+        Parameters
+        ----------
+        patch_ids : numpy.ndarray
+            ``(n,)`` patches.
+        u, v : numpy.ndarray
+            ``(n,)`` parameters.
+
+        Returns
+        -------
+        SurfaceJet
+            In input order. The surfaces' own direction; patch orientation is not applied.
+        """
+        n = len(patch_ids)
+        point, first, second = np.empty((n, 3)), np.empty((n, 2, 3)), np.empty((n, 3, 3))
+        model = self.gmsh.model
+        for patch_id, rows in groups(patch_ids):
+            uv = np.column_stack([u[rows], v[rows]]).ravel()
+            with KERNEL():
+                p = model.getValue(2, patch_id + 1, uv)
+                d1 = model.getDerivative(2, patch_id + 1, uv)
+                d2 = model.getSecondDerivative(2, patch_id + 1, uv)
+            point[rows] = np.reshape(p, (-1, 3))
+            first[rows], second[rows] = np.reshape(d1, (-1, 2, 3)), np.reshape(d2, (-1, 3, 3))
+        radial = umbilic = None
+        sphere = self.spheres[patch_ids]
+        if sphere.any():
+            closed = self.surfaces.evaluate(patch_ids[sphere], u[sphere], v[sphere])
+            radial, umbilic = np.full((n, 3), np.nan), np.full(n, np.nan)
+            radial[sphere], umbilic[sphere] = closed.radial, closed.umbilic
+        return SurfaceJet(
+            point,
+            du=first[:, 0],
+            dv=first[:, 1],
+            duu=second[:, 0],  # Gmsh's order is uu, vv, uv
+            duv=second[:, 2],
+            dvv=second[:, 1],
+            least=self.least[patch_ids],
+            radial=radial,
+            umbilic=umbilic,
+        )
+
+    def points(self, patch_ids: _Ints, u: _Floats, v: _Floats) -> _Floats:
+        """Return points ``(n, 3)`` mm of surfaces at parameters ``(n,)``."""
+        point = np.empty((len(patch_ids), 3))
+        for patch_id, rows in groups(patch_ids):
+            uv = np.column_stack([u[rows], v[rows]]).ravel()
+            with KERNEL():
+                values = self.gmsh.model.getValue(2, patch_id + 1, uv)
+            point[rows] = np.reshape(values, (-1, 3))
+        return point
+
+
+def groups(keys: _Ints | Sequence[int]) -> Iterator[tuple[int, _Ints]]:
+    """Yield each distinct key with the rows that have it, keys ascending, rows in order."""
+    keys = np.asarray(keys, dtype=np.int64)
+    if not len(keys):
+        return
+    order = np.argsort(keys, kind="stable")
+    starts = np.flatnonzero(np.diff(keys[order], prepend=keys[order[0]] - 1))
+    for start, stop in zip(starts, [*starts[1:], len(order)], strict=True):
+        yield int(keys[order[start]]), order[start:stop]

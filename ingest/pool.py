@@ -1,0 +1,174 @@
+"""Run models in processes of their own, and survive whatever happens there."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import multiprocessing
+import resource
+import shutil
+import signal
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+from breplake.errors import MissingExtraError
+from breplake.ingest.failure import Failure, advise
+from breplake.ingest.inputs import Input
+from breplake.ingest.settings import RUNGS, Settings
+from breplake.ingest.spool import Spool
+
+__all__ = ["Result", "run_models"]
+
+_AHEAD: Final = 4
+"""Tasks waiting for each worker: enough to keep it busy, few enough to stop quickly."""
+
+
+@dataclass(slots=True)
+class Result:
+    """How one input ended.
+
+    Parameters
+    ----------
+    input : Input
+        The file.
+    spool : Spool
+        Where its record lies, if `recorded`.
+    failures : list of Failure
+        In order of attempts; the last is fatal if there is no record.
+    """
+
+    input: Input
+    spool: Spool
+    failures: list[Failure] = field(default_factory=list)
+
+    @property
+    def recorded(self) -> bool:
+        """Whether the input becomes a row of ``models``."""
+        return self.spool.has_record
+
+
+def run_models(
+    inputs: Sequence[Input], settings: Settings, jobs: int, folder: Path
+) -> Iterator[Result]:
+    """Ingest every input in an isolated process and yield the results as they come.
+
+    A worker that crashes, hangs or runs out of memory costs its model one attempt. If it was
+    meshing, the next rung of the mesh ladder gets the next attempt; otherwise the model keeps
+    what it had handed over.
+
+    Parameters
+    ----------
+    inputs : sequence of Input
+        What to ingest.
+    settings : Settings
+        Limits and mesh.
+    jobs : int
+        Number of processes.
+    folder : Path
+        Existing folder for the spools; each is the caller's to delete.
+    """
+    waiting = [
+        Result(item, Spool(folder / f"{i:07d}"), [item.failure] if item.failure else [])
+        for i, item in enumerate(inputs)
+    ]
+    waiting.reverse()
+    running: dict[Any, tuple[Result, int]] = {}
+    pool = _pool(jobs, settings)
+    try:
+        while waiting or running:
+            while waiting and len(running) < jobs * _AHEAD:
+                result = waiting.pop()
+                result.spool.folder.mkdir()
+                if result.failures:
+                    yield result
+                else:
+                    running[_submit(pool, result, settings, 0)] = result, 0
+            done, _ = concurrent.futures.wait(running, return_when="FIRST_COMPLETED")
+            for future in done:
+                result, rung = running.pop(future)
+                again = _take(future, result, settings)
+                if again is not None:
+                    running[_submit(pool, result, settings, again)] = result, again
+                else:
+                    yield result
+    finally:
+        pool.stop()
+        pool.join()
+
+
+def _pool(jobs: int, settings: Settings) -> Any:
+    try:
+        from pebble import ProcessPool
+    except ImportError as error:
+        raise MissingExtraError("ingest", "breplake ingest") from error
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["breplake.ingest.preload"])
+    limit = int(settings.memory * 2**30)
+    return ProcessPool(
+        max_workers=jobs, max_tasks=1, context=context, initializer=_confine, initargs=[limit]
+    )
+
+
+def _confine(limit: int) -> None:
+    """Limit the address space of this worker to `limit` bytes above what it starts with."""
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    total = pages * resource.getpagesize() + limit
+    resource.setrlimit(resource.RLIMIT_AS, (total, total))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    # Ctrl-C goes to the whole group; the parent alone decides what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    from breplake.ingest.worker import silence
+
+    silence()
+
+
+def _submit(pool: Any, result: Result, settings: Settings, rung: int) -> Any:
+    return pool.schedule(
+        _call, args=[result.input, settings, result.spool, rung], timeout=settings.timeout
+    )
+
+
+def _call(item: Input, settings: Settings, spool: Spool, rung: int) -> list[Failure]:
+    from breplake.ingest.worker import Task, work
+
+    return work(Task(item, settings, spool, rung))
+
+
+def _take(future: Any, result: Result, settings: Settings) -> int | None:
+    """Add a finished attempt to its result; return the rung to try next, if any."""
+    from pebble import ProcessExpired
+
+    stage, detail = result.spool.stage
+    killed: Failure
+    try:
+        result.failures += future.result()
+        return None
+    except concurrent.futures.TimeoutError:
+        message = advise("timeout", f"{stage} {detail} ran into the limit of {settings.timeout:g} s")
+        killed = Failure(stage, "timeout", message, fatal=False, seconds=settings.timeout)
+    except ProcessExpired as error:
+        killed = _crash(stage, detail, error.exitcode)
+    except MemoryError:
+        message = advise("memory", f"{stage} {detail} passed {settings.memory:g} GiB")
+        killed = Failure(stage, "memory", message, fatal=False)
+    ladder = RUNGS[settings.mesh]
+    if stage in ("mesh", "truth") and detail in ladder[:-1]:
+        result.failures.append(killed)
+        return ladder.index(detail) + 1
+    result.failures.append(replace(killed, fatal=not result.recorded))
+    return None
+
+
+def _crash(stage: str, detail: str, exitcode: int) -> Failure:
+    if exitcode < 0:
+        name = signal.Signals(-exitcode).name
+        message = advise("killed-signal", f"{stage} {detail} ended with {name}")
+        return Failure(stage, "killed-signal", message, fatal=False, signal=-exitcode)
+    message = advise("worker-died", f"{stage} {detail} ended with exit code {exitcode}")
+    return Failure(stage, "worker-died", message, fatal=False)
+
+
+def discard(result: Result) -> None:
+    """Delete what a result left on disk."""
+    shutil.rmtree(result.spool.folder, ignore_errors=True)

@@ -1,0 +1,245 @@
+"""Split mesh edges until none is longer than the limit, on the exact geometry.
+
+Gmsh treats the element size as a target. What exceeds the limit is bisected: the new vertex
+lies on the B-Rep curve if the edge does, otherwise on the patch, and the triangles on both
+sides are divided alike, so that the mesh stays conforming. The longest edge of a triangle is
+always split first (Rivara's rule), which keeps small angles from arising.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from breplake.ingest.mesh import CurveNodes, Mesh, edge_lengths, unique_edges
+from breplake.schema.projection import project_points
+from breplake.schema.jets import SurfaceJet
+
+__all__ = ["Geometry", "Periods", "refine"]
+
+_Floats = npt.NDArray[np.float64]
+_Ints = npt.NDArray[np.int64]
+_Bools = npt.NDArray[np.bool_]
+
+_ROUNDS: Final = 30
+"""Each round halves the longest edges, so thirty reach any limit above rounding."""
+
+
+class Geometry(Protocol):
+    """Exact geometry by our ids (``ingest.kernel.GmshModel``)."""
+
+    def jet(self, patch_ids: _Ints, u: _Floats, v: _Floats) -> SurfaceJet:
+        """Evaluate surfaces."""
+        ...
+
+    def curve_points(self, curve_id: int, t: _Floats) -> _Floats:
+        """Evaluate a curve."""
+        ...
+
+
+class Periods:
+    """Parameter periods and bounds of the patches of a model.
+
+    Parameters
+    ----------
+    period : numpy.ndarray
+        ``(n, 2)`` period in u and v; infinite where the surface is open.
+    bounds : numpy.ndarray
+        ``(n, 4)`` least and greatest u, least and greatest v that make sense on the surface;
+        infinite where it is periodic or unbounded.
+    """
+
+    def __init__(self, period: _Floats, bounds: _Floats) -> None:
+        self.period = period
+        self.bounds = bounds
+
+    def near(self, patch: _Ints, uv: _Floats, anchor: _Floats) -> _Floats:
+        """Return `uv` moved by whole periods next to `anchor`; all ``(n, 2)``."""
+        period = self.period[patch]
+        finite = np.where(np.isfinite(period), period, 1.0)
+        turns = np.where(np.isfinite(period), np.round((anchor - uv) / finite), 0.0)
+        moved: _Floats = uv + turns * finite
+        return moved
+
+
+def refine(mesh: Mesh, geometry: Geometry, periods: Periods, limit: float, most: int) -> Mesh:
+    """Return `mesh` with every edge at most `limit` long.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        A conforming mesh.
+    geometry : Geometry
+        Where new vertices are placed.
+    periods : Periods
+        Of the model's patches.
+    limit : float
+        mm.
+    most : int
+        Stop before the mesh has more triangles than this.
+    """
+    for _ in range(_ROUNDS):
+        edges, of_triangle, _ = unique_edges(mesh.triangles)
+        lengths = edge_lengths(mesh.points, edges)
+        if not (lengths > limit).any():
+            break
+        split = _propagate(lengths > limit, lengths, of_triangle)
+        if len(mesh.triangles) + 2 * int(split.sum()) > most:
+            break
+        mesh = _Split(mesh, geometry, periods, edges, of_triangle, split).mesh()
+    return mesh
+
+
+def _propagate(split: _Bools, lengths: _Floats, of_triangle: _Ints) -> _Bools:
+    """Add the longest edge of every triangle that has an edge to split."""
+    longest = of_triangle[np.arange(len(of_triangle)), lengths[of_triangle].argmax(axis=1)]
+    while True:
+        wanted = longest[split[of_triangle].any(axis=1)]
+        if split[wanted].all():
+            return split
+        split = split.copy()
+        split[wanted] = True
+
+
+class _Split:
+    """One round of bisection."""
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        geometry: Geometry,
+        periods: Periods,
+        edges: _Ints,
+        of_triangle: _Ints,
+        split: _Bools,
+    ) -> None:
+        self.old, self.geometry, self.periods = mesh, geometry, periods
+        self.of_triangle = of_triangle
+        self.ends = edges[split]  # (s, 2)
+        self.count = len(self.ends)
+        self.fresh = np.full(len(edges), -1, dtype=np.int64)  # (e,) new vertex of each edge
+        self.fresh[split] = len(mesh.points) + np.arange(self.count)
+        self.index = np.full(len(edges), -1, dtype=np.int64)
+        self.index[split] = np.arange(self.count)
+        self.points = mesh.points[self.ends].mean(axis=1)  # (s, 3) until placed
+        self.on_curve = np.full(self.count, -1, dtype=np.int64)
+        self.curves: dict[int, CurveNodes] = {}
+
+    def mesh(self) -> Mesh:
+        self._place_on_curves()
+        patch, fresh = self._new_pairs()
+        uv = self._place_on_patches(patch, fresh)
+        old = self.old
+        pair_patch = np.concatenate([old.pair_patch, patch])
+        pair_vertex = np.concatenate([old.pair_vertex, fresh + len(old.points)])
+        order = np.lexsort([pair_vertex, pair_patch])
+        triangles, owner = self._triangles()
+        return Mesh(
+            np.concatenate([old.points, self.points]),
+            triangles,
+            owner,
+            np.concatenate([old.corner, np.full(self.count, -1, dtype=np.int64)]),
+            self.curves,
+            pair_patch[order],
+            pair_vertex[order],
+            np.concatenate([old.uv, uv])[order],
+        )
+
+    def _place_on_curves(self) -> None:
+        """Put the new vertices of curve segments on their curve, halfway in the parameter."""
+        span = len(self.old.points)
+        keys = self.ends[:, 0] * span + self.ends[:, 1]  # ascending
+        for curve_id, nodes in self.old.curves.items():
+            a, b = nodes.vertices[:-1], nodes.vertices[1:]
+            wanted = np.minimum(a, b) * span + np.maximum(a, b)
+            at = np.searchsorted(keys, wanted).clip(max=self.count - 1)
+            # Two curves may share a short edge's ends; the first one owns its vertex.
+            hit = np.flatnonzero((keys[at] == wanted) & (self.on_curve[at] < 0))
+            rows = at[hit]
+            t = (nodes.t[hit] + nodes.t[hit + 1]) / 2
+            if len(hit):
+                self.on_curve[rows] = curve_id
+                self.points[rows] = self.geometry.curve_points(curve_id, t)
+            self.curves[curve_id] = CurveNodes(
+                np.insert(nodes.vertices, hit + 1, rows + span), np.insert(nodes.t, hit + 1, t)
+            )
+
+    def _new_pairs(self) -> tuple[_Ints, _Ints]:
+        """Return patch and index of every new vertex on every patch around it."""
+        edge = self.index[self.of_triangle]  # (f, 3)
+        owner = np.broadcast_to(self.old.patch[:, None], edge.shape)
+        found = np.unique(np.column_stack([owner[edge >= 0], edge[edge >= 0]]), axis=0)
+        return found[:, 0], found[:, 1]
+
+    def _place_on_patches(self, patch: _Ints, fresh: _Ints) -> _Floats:
+        """Return parameters ``(p, 2)`` of the pairs, and move inner vertices onto the patch."""
+        start = self._middle(patch, fresh)
+        u, v, _ = project_points(
+            self.geometry.jet,
+            patch,
+            self.points[fresh],
+            start[:, 0],
+            start[:, 1],
+            self.periods.bounds[patch],
+        )
+        inner = self.on_curve[fresh] < 0
+        self.points[fresh[inner]] = self.geometry.jet(patch[inner], u[inner], v[inner]).point
+        return np.column_stack([u, v])
+
+    def _middle(self, patch: _Ints, fresh: _Ints) -> _Floats:
+        """Return the middle of both ends' parameters, across seams and beside poles."""
+        a, b = (
+            self.old.pairs(patch, self.ends[fresh, side]) for side in (0, 1)
+        )
+        uv_a, uv_b = self.old.uv[a], self.periods.near(patch, self.old.uv[b], self.old.uv[a])
+        jets = [self.geometry.jet(patch, uv[:, 0], uv[:, 1]) for uv in (uv_a, uv_b)]
+        middle = (uv_a + uv_b) / 2
+        for axis in (0, 1):
+            # At a pole one parameter is arbitrary: only the other end knows the direction.
+            for jet, other in zip(jets, (uv_b, uv_a), strict=True):
+                derivative = jet.dv if axis else jet.du
+                pole = np.linalg.norm(derivative, axis=1) <= jet.least[:, axis]
+                middle[pole, axis] = other[pole, axis]
+        return middle
+
+    def _triangles(self) -> tuple[_Ints, _Ints]:
+        """Divide the triangles: two, three or four for one, two or three split sides."""
+        tri, side = self.old.triangles, self.fresh[self.of_triangle]  # (f, 3), (f, 3)
+        n_split = (side >= 0).sum(axis=1)
+        blocks, owners = [tri[n_split == 0]], [self.old.patch[n_split == 0]]
+        points = np.concatenate([self.old.points, self.points])
+
+        def emit(rows: _Ints, corners: list[_Ints]) -> None:
+            blocks.append(np.stack(corners, axis=1))
+            owners.append(self.old.patch[rows])
+
+        for turn in range(3):
+            # Rotate so that the pattern starts at corner 0: sides are (01), (12), (20).
+            a, b, c = (tri[:, (turn + i) % 3] for i in range(3))
+            ab, bc, ca = (side[:, (turn + i) % 3] for i in range(3))
+            one = np.flatnonzero((n_split == 1) & (ab >= 0))
+            emit(one, [a[one], ab[one], c[one]])
+            emit(one, [ab[one], b[one], c[one]])
+            two = np.flatnonzero((n_split == 2) & (ca < 0))
+            emit(two, [ab[two], b[two], bc[two]])
+            # The rest is a quadrilateral a, ab, bc, c: cut along its shorter diagonal.
+            first = _lengths(points, a[two], bc[two]) <= _lengths(points, ab[two], c[two])
+            x, y = two[first], two[~first]
+            emit(x, [a[x], ab[x], bc[x]])
+            emit(x, [a[x], bc[x], c[x]])
+            emit(y, [a[y], ab[y], c[y]])
+            emit(y, [ab[y], bc[y], c[y]])
+        three = np.flatnonzero(n_split == 3)
+        (a, b, c), (ab, bc, ca) = tri[three].T, side[three].T
+        for corners in ([a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]):
+            emit(three, corners)
+        triangles, owner = np.concatenate(blocks), np.concatenate(owners)
+        order = np.argsort(owner, kind="stable")
+        return triangles[order], owner[order]
+
+
+def _lengths(points: _Floats, a: _Ints, b: _Ints) -> _Floats:
+    lengths: _Floats = np.linalg.norm(points[a] - points[b], axis=1)
+    return lengths

@@ -1,0 +1,121 @@
+"""Gears, racks, sprockets and ratchets."""
+
+from math import cos, pi, radians, sin, tan
+from typing import Any
+
+import cadquery as cq
+
+from .outlines import bolt_circle, disc, involute_gear, polar, ring, rod, turned
+from .registry import part
+
+
+def spur(module: float, teeth: int, width: float) -> Any:
+    """Spur gear blank on z = 0 without a bore."""
+    face = cq.Face.makeFromWires(involute_gear(module, teeth))
+    return cq.Workplane(obj=cq.Solid.extrudeLinear(face, cq.Vector(0, 0, width)))
+
+
+@part("gear_spur", "Spur gear of 18 involute teeth with a hub and a keyed bore")
+def _spur() -> Any:
+    body = spur(3, 18, 16).union(disc(15, 28))
+    body = body.cut(disc(8, 40, -1)).cut(cq.Workplane("XY").rect(5, 20.6).extrude(40))
+    return body
+
+
+@part("gear_pinion", "Pinion of 12 involute teeth on a shaft")
+def _pinion() -> Any:
+    return spur(2.5, 12, 22).union(turned([(0, -30), (7, -30), (8, -29), (8, 50), (7, 51), (0, 51)]))
+
+
+@part("gear_helical", "Helical gear of 14 involute teeth, helix angle 20 degrees")
+def _helical() -> Any:
+    module, teeth, width = 3.0, 14, 18.0
+    turn = width * tan(radians(20)) / (module * teeth / 2) * 180 / pi
+    solid = cq.Solid.extrudeLinearWithRotation(
+        involute_gear(module, teeth), [], cq.Vector(), cq.Vector(0, 0, width), turn
+    )
+    return cq.Workplane(obj=solid).cut(disc(8, 40, -10))
+
+
+@part("gear_bevel", "Bevel gear of 13 tapered teeth: a ruled loft")
+def _bevel() -> Any:
+    outline = involute_gear(3, 13)
+    small = outline.scale(0.62).translate(cq.Vector(0, 0, 12))
+    teeth = cq.Workplane(obj=cq.Solid.makeLoft([outline, small], ruled=True))
+    return teeth.union(disc(13, 12, -11)).cut(disc(6, 40, -20))
+
+
+@part("gear_ring", "Internal ring gear of 24 involute teeth with eight bolt holes")
+def _ring_gear() -> Any:
+    body = ring(44, 20, 12).cut(spur(2.5, 24, 12))
+    return body.faces(">Z").workplane().polarArray(39.5, 0, 360, 8).hole(4.5)
+
+
+@part("gear_rack", "Rack of nine straight teeth with two fixing holes")
+def _rack() -> Any:
+    module, count = 3.0, 9
+    outline = [(0.0, -14.0)]
+    for i in range(count):
+        x = pi * module * i
+        for dx, y in ((1.0, -3.75), (2.95, 3.0), (6.47, 3.0), (8.42, -3.75)):
+            outline.append((x + dx, y))
+    length = pi * module * count
+    outline += [(length, -3.75), (length, -14)]
+    body = cq.Workplane("XZ").polyline([(0, -14), (0, -3.75), *outline[1:]]).close().extrude(-16)
+    side = cq.Workplane("XZ", origin=(length / 2, 0, -9)).rarray(length * 0.7, 1, 2, 1)
+    return body.cut(side.circle(2.5).extrude(-16))
+
+
+@part("sprocket", "Chain sprocket of 16 teeth with rounded seats")
+def _sprocket() -> Any:
+    pitch, teeth, roller = 12.7, 16, 4.3
+    radius = pitch / (2 * sin(pi / teeth))
+    body = turned([
+        (0, -2.5), (radius, -2.5), (radius + 3.5, -1), (radius + 3.5, 1), (radius, 2.5), (0, 2.5),
+    ])  # fmt: skip
+    for x, y in bolt_circle(radius, teeth):
+        body = body.cut(rod((x, y, -4), (x, y, 4), roller))
+    body = body.union(disc(16, 20, -2.5)).cut(disc(8, 50, -20))
+    return body.cut(ring(26, 19, 10, -5).intersect(_windows(4)))
+
+
+def _windows(count: int) -> Any:
+    """Rectangular sectors that turn a ring cut into separate windows."""
+    body = cq.Workplane("XY").rect(60, 8).extrude(10, both=True)
+    for i in range(1, count // 2):
+        body = body.union(body.rotate((0, 0, 0), (0, 0, 1), 360 * i / count))
+    return body
+
+
+@part("ratchet_wheel", "Ratchet wheel of 14 undercut teeth with a square hole")
+def _ratchet() -> Any:
+    outline = []
+    for i in range(14):
+        angle = 2 * pi * i / 14
+        outline += [polar(30, angle), polar(24, angle + 0.06)]
+    body = cq.Workplane("XY").polyline(outline).close().extrude(8).union(disc(14, 12))
+    return body.cut(cq.Workplane("XY").rect(12, 12).extrude(20))
+
+
+@part("gear_worm_wheel", "Worm wheel whose throated rim is a torus, with 20 slots")
+def _worm_wheel() -> Any:
+    rim = cq.Workplane("XZ").moveTo(12, -9).lineTo(41, -9).threePointArc((36, 0), (41, 9))
+    body = rim.lineTo(12, 9).close().revolve(360, (0, 0, 0), (0, 1, 0))
+    for i in range(20):
+        angle = 2 * pi * i / 20
+        slot = cq.Workplane("YZ", origin=(32, 0, 0)).transformed(rotate=(0, 0, 12)).rect(4, 30)
+        body = body.cut(slot.extrude(12).rotate((0, 0, 0), (0, 0, 1), angle * 180 / pi))
+    grooves = ring(28, 18, 5, 5).union(ring(28, 18, 5, -10))
+    return body.cut(grooves)
+
+
+@part("geneva_wheel", "Geneva wheel of six slots")
+def _geneva() -> Any:
+    body = disc(40, 6)
+    for i in range(6):
+        angle = 60 * i
+        slot = cq.Workplane("XY", origin=(34, 0, 0)).slot2D(32, 6).extrude(6)
+        body = body.cut(slot.rotate((0, 0, 0), (0, 0, 1), angle))
+        x, y = 46.2 * cos(radians(angle + 30)), 46.2 * sin(radians(angle + 30))
+        body = body.cut(rod((x, y, -1), (x, y, 7), 19))
+    return body.union(disc(9, 14)).cut(disc(5, 30, -5))

@@ -1,0 +1,212 @@
+"""Write the records of some hundred models as one shard: Parquet files and a Zarr group."""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from breplake.ingest.geometry import Row
+from breplake.ingest.pool import Result
+from breplake.ingest.worker import printable
+from breplake.schema.arrays import ArrayShardWriter
+from breplake.schema.contract import Table
+from breplake.schema.lake import LakeStore
+from breplake.schema.snapshot import FileEntry
+from breplake.schema.tables import FACES, FAILURES, MODELS, TABLES, VERTICES
+
+__all__ = ["SHARD_MODELS", "shard_name", "write_shard"]
+
+SHARD_MODELS: Final = 256
+"""Inputs in a shard."""
+
+_STREAMED: Final = (VERTICES, FACES)
+"""Tables too large to gather in memory before they are written."""
+
+
+def shard_name(results: Sequence[Result], config_hash: str) -> str:
+    """Name a shard by its content: the same inputs and settings give the same name."""
+    digest = hashlib.sha256(config_hash.encode())
+    for result in results:
+        digest.update(f"{result.input.model_id} {result.input.sha256}\n".encode())
+    return digest.hexdigest()[:16]
+
+
+def write_shard(store: LakeStore, results: Sequence[Result], config_hash: str) -> list[FileEntry]:
+    """Write all tables and arrays of `results` and register them, ready for a commit.
+
+    Rows are sorted by model_id, then id. Files that an interrupted run left under the same
+    name belong to no snapshot and are replaced.
+
+    Parameters
+    ----------
+    store : LakeStore
+        The lake.
+    results : sequence of Result
+        Finished models and failures.
+    config_hash : str
+        Of the settings.
+    """
+    name = shard_name(results, config_hash)
+    _remove_orphans(store, name)
+    ordered = sorted(results, key=lambda result: result.input.model_id)
+    recorded = [result for result in ordered if result.recorded]
+    rows = [_finished(result, name) for result in recorded]
+    meshed = [bool(row.get("mesh_kind")) for row in rows]
+    if any(meshed):
+        with ArrayShardWriter(store.array_path(name)) as arrays:
+            for result, row, has_mesh in zip(recorded, rows, meshed, strict=True):
+                if has_mesh:
+                    row |= _append(arrays, result)
+    failures = [row for result in ordered for row in _failure_rows(result, config_hash)]
+    if rows:
+        _write(store, name, MODELS, [MODELS.from_rows(rows)])
+    if failures:
+        _write(store, name, FAILURES, [FAILURES.from_rows(failures)])
+    for table in TABLES.values():
+        if table not in (MODELS, FAILURES):
+            parts = (result.spool.read_table(table.name) for result in recorded)
+            _write(store, name, table, (part for part in parts if part is not None))
+    return store.register_shard(name)
+
+
+def _remove_orphans(store: LakeStore, name: str) -> None:
+    head = store.head()
+    known = {entry.path for entry in head.files} if head else set()
+    for table in TABLES:
+        path = Path("tables") / table / f"{name}.parquet"
+        if path.as_posix() not in known:
+            (store.root / path).unlink(missing_ok=True)
+    if f"arrays/{name}.zarr" not in known:
+        shutil.rmtree(store.root / "arrays" / f"{name}.zarr", ignore_errors=True)
+
+
+def _finished(result: Result, shard: str) -> Row:
+    """Return the model's row, completed by what only the parent knows."""
+    row = result.spool.read_model()
+    row["metadata"] = list(row["metadata"])
+    # A killed worker's CPU time is lost with it; it was busy, so its wall time stands in.
+    lost = sum(f.seconds for f in result.failures if f.kind in ("timeout", "killed-signal"))
+    return row | {"shard": shard, "cpu_total": row["cpu_total"] + lost}
+
+
+def _failure_rows(result: Result, config_hash: str) -> list[Row]:
+    item = result.input
+    return [
+        {
+            "model_id": item.model_id,
+            "collection": item.collection,
+            "name": item.name,
+            "path": printable(item.path),
+            "bytes": item.bytes,
+            "sha256": item.sha256,
+            "stage": failure.stage,
+            "kind": failure.kind,
+            "message": failure.message,
+            "signal": failure.signal,
+            "seconds": failure.seconds,
+            "peak_memory": failure.peak_memory,
+            "config_hash": config_hash,
+            "fatal": failure.fatal,
+            "attempt": attempt,
+        }
+        for attempt, failure in enumerate(result.failures)
+    ]
+
+
+def _append(arrays: ArrayShardWriter, result: Result) -> Row:
+    """Add a model's mesh to the arrays and return its offsets."""
+    vertices, faces = (result.spool.read_table(table.name) for table in _STREAMED)
+    curves = result.spool.read_table("curves")
+    if vertices is None or faces is None or curves is None:
+        raise FileNotFoundError(f"the record of {result.input.name} lost its mesh tables")
+
+    def column(table: pa.Table, name: str) -> Any:
+        # A null becomes NaN in float columns; the others have none.
+        return table.column(name).to_numpy()
+
+    def columns(table: pa.Table, *names: str) -> Any:
+        return np.column_stack([column(table, name) for name in names])
+
+    primary = column(vertices, "is_primary").astype(bool)
+    by_vertex = np.argsort(column(vertices, "vertex_id")[primary])
+    position = columns(vertices, "x", "y", "z")[primary][by_vertex]  # (n, 3) mm
+    feature = _feature(vertices, curves)[primary][by_vertex]
+    offsets = arrays.append(
+        {
+            "position": position.astype(np.float32),
+            "feature": feature,
+            "normal": columns(vertices, "nx", "ny", "nz").astype(np.float32),
+            "curvature": columns(vertices, "k_min", "k_max").astype(np.float32),
+            "patch": column(vertices, "patch_id"),
+            "triangle": columns(faces, "v0", "v1", "v2"),
+            "triangle_normal": columns(faces, "n0", "n1", "n2"),
+            "triangle_patch": column(faces, "patch_id"),
+        }
+    )
+    return {
+        "vertex_offset": offsets.vertex,
+        "normal_offset": offsets.normal,
+        "face_offset": offsets.face,
+    }
+
+
+def _feature(vertices: pa.Table, curves: pa.Table) -> Any:
+    """Return ``(m,)`` uint8, the index in ``schema.types.FEATURES`` of each row."""
+    sharp = curves.column("sharp").to_numpy(zero_copy_only=False)
+    curve = vertices.column("curve_id").fill_null(-1).to_numpy()
+    corner = vertices.column("corner_id").is_valid().to_numpy()
+    feature = np.zeros(len(curve), dtype=np.uint8)
+    on_curve = curve >= 0
+    feature[on_curve] = np.where(sharp[curve[on_curve]], 2, 1)
+    feature[corner] = 3
+    return feature
+
+
+def _write(store: LakeStore, shard: str, table: Table, parts: Any) -> None:
+    """Write `parts` as one Parquet file, gathering them into full row groups."""
+    writer: pq.ParquetWriter | None = None
+    waiting: list[pa.Table] = []
+    n_waiting = 0
+    path = store.table_path(table.name, shard)
+
+    def flush() -> None:
+        nonlocal writer, n_waiting
+        if writer is None:
+            writer = pq.ParquetWriter(path, table.schema, **_options(table))
+        writer.write_table(pa.concat_tables(waiting), row_group_size=table.row_group)
+        waiting.clear()
+        n_waiting = 0
+
+    for part in parts:
+        waiting.append(part)
+        n_waiting += part.num_rows
+        if n_waiting >= table.row_group:
+            flush()
+    if waiting and (n_waiting or writer is None):
+        flush()
+    if writer is not None:
+        writer.close()
+
+
+def _options(table: Table) -> dict[str, Any]:
+    """Return how the columns of a table are encoded.
+
+    Ids are nearly sorted, so their differences are small; floating-point columns have
+    no repeated values for a dictionary to find.
+    """
+    integers = [c.name for c in table.columns if pa.types.is_integer(c.type)]
+    strings = [c.name for c in table.columns if pa.types.is_string(c.type)]
+    return {
+        "compression": "zstd",
+        "compression_level": 3,
+        "use_dictionary": strings or False,
+        "column_encoding": dict.fromkeys(integers, "DELTA_BINARY_PACKED"),
+        "write_page_index": True,
+    }

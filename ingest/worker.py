@@ -1,0 +1,270 @@
+"""One model, from file to record, in a process of its own."""
+
+from __future__ import annotations
+
+import gzip
+import shutil
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+
+from breplake.errors import InputError
+from breplake.ingest.brep import Brep, extract
+from breplake.ingest.canonical import canonical
+from breplake.ingest.clock import KERNEL, StageClock, peak_memory
+from breplake.ingest.failure import Failure, advise
+from breplake.ingest.geometry import Row
+from breplake.ingest.inputs import Input
+from breplake.ingest.kernel import GmshModel, gmsh_session
+from breplake.ingest.load import Document, load
+from breplake.ingest.measures import duplicate_group
+from breplake.ingest.mesh import Mesh
+from breplake.ingest.meshing import gmsh_mesh
+from breplake.ingest.refine import Periods, refine
+from breplake.ingest.rows import brep_columns, brep_tables, mesh_columns, mesh_tables
+from breplake.ingest.settings import RUNGS, Settings
+from breplake.ingest.spool import Spool
+from breplake.ingest.tessellation import tessellate
+from breplake.ingest.truth import derive, wind
+
+__all__ = ["MAX_UNPACKED", "Task", "printable", "silence", "versions", "work"]
+
+MAX_UNPACKED: Final = 4 * 2**30
+"""Bytes a compressed file may unpack to: far beyond any CAD file, far below a bomb."""
+
+_HONOURED: Final = 1.05
+"""A mesh whose longest edge is within this factor of the limit honours it."""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What a worker is told.
+
+    Parameters
+    ----------
+    input : Input
+        The file.
+    settings : Settings
+        What to do.
+    spool : Spool
+        Where to leave the record.
+    rung : int
+        First rung of the mesh ladder to try; higher after a kill on a lower one.
+    """
+
+    input: Input
+    settings: Settings
+    spool: Spool
+    rung: int = 0
+
+
+def work(task: Task) -> list[Failure]:
+    """Ingest one model and leave its record in the task's spool.
+
+    Returns
+    -------
+    list of Failure
+        Fatal ones leave no record; after others the record holds what was done.
+    """
+    clock = StageClock(task.spool.mark)
+    failures: list[Failure] = []
+    try:
+        _Model(task, clock, failures).run()
+    except InputError as error:
+        failures.append(_failure(clock, error.kind, str(error), not task.spool.has_record))
+    except MemoryError as error:
+        message = advise("memory", str(error))
+        failures.append(_failure(clock, "memory", message, not task.spool.has_record))
+    except Exception as error:  # one model's surprise is a row, never the end of a batch
+        kind = {"mesh": "mesh-failed", "truth": "truth-failed"}.get(clock.current, "error")
+        message = advise(kind, f"{type(error).__name__}: {error}")
+        failures.append(_failure(clock, kind, message, not task.spool.has_record))
+    return failures
+
+
+def _failure(clock: StageClock, kind: str, message: str, fatal: bool) -> Failure:
+    seconds = clock.columns()["seconds"]
+    return Failure(
+        clock.current, kind, message, fatal, seconds=seconds, peak_memory=peak_memory()
+    )
+
+
+class _Model:
+    """The stages of one model."""
+
+    def __init__(self, task: Task, clock: StageClock, failures: list[Failure]) -> None:
+        self.task, self.clock, self.failures = task, clock, failures
+        self.input, self.settings, self.spool = task.input, task.settings, task.spool
+        self.id = task.input.model_id
+        self.row: Row = {}
+        self.tables: dict[str, pa.Table] = {}
+
+    def run(self) -> None:
+        with self.clock.stage("read"):
+            path = self._unpacked()
+        with self.clock.stage("load"), KERNEL():
+            document = load(path, self.input.format)
+        with self.clock.stage("brep"):
+            brep = self._brep(document)
+        self._write()
+        if not brep.patches:
+            raise InputError("no-patches", advise("no-patches", ""))
+        with gmsh_session() as gmsh:
+            self._add_mesh(gmsh, brep)
+
+    def _unpacked(self) -> Path:
+        source = self.input.path
+        if source.suffix.lower() != ".gz":
+            return source
+        target = self.spool.folder / f"unpacked.{self.input.format}"
+        try:
+            with gzip.open(source) as packed, target.open("wb") as plain:
+                shutil.copyfileobj(_Limited(packed, MAX_UNPACKED), plain, 2**20)
+        except (OSError, EOFError, zlib.error) as error:
+            raise InputError("bad-archive", advise("bad-archive", str(error))) from error
+        return target
+
+    def _brep(self, document: Document) -> Brep:
+        from OCP.BRepCheck import BRepCheck_Analyzer
+
+        shapes = canonical(document.shapes)
+        brep = extract(shapes, document.labels)
+        with KERNEL():
+            valid = BRepCheck_Analyzer(shapes.compound).IsValid()
+        self.tables = brep_tables(self.id, brep)
+        source, columns = self.input, brep_columns(brep)
+        self.row = {
+            "model_id": self.id,
+            "collection": source.collection,
+            "name": source.name,
+            "path": printable(source.path),
+            "format": source.format,
+            "bytes": source.bytes,
+            "sha256": source.sha256,
+            "metadata": [],
+            "length_unit": document.length_unit,
+            "scale_to_mm": document.scale_to_mm,
+            "is_valid": valid,
+            "duplicate_group": duplicate_group(columns["fingerprint"], str(source.sha256)),
+            "config_hash": self.settings.config_hash,
+            **columns,
+            **versions(),
+        }
+        return brep
+
+    def _write(self) -> None:
+        with self.clock.stage("write"):
+            self.spool.write_tables(self.tables)
+        self.spool.write_model(self.row | self.clock.columns())
+
+    def _add_mesh(self, gmsh: Any, brep: Brep) -> None:
+        with self.clock.stage("import"):
+            model = GmshModel(gmsh, brep, self.spool.folder)
+        limit, notes = self._limit()
+        ladder = RUNGS[self.settings.mesh]
+        for rung in ladder[self.task.rung :]:
+            try:
+                with self.clock.stage("mesh", rung):
+                    mesh = self._mesh(model, rung, limit)
+                with self.clock.stage("truth", rung):
+                    self._truth(model, mesh)
+            except InputError as error:
+                self.failures.append(_failure(self.clock, error.kind, str(error), False))
+                gmsh.model.mesh.clear()
+                continue
+            if rung != ladder[0]:
+                notes.append(f"{ladder[0]} meshing failed, see failures")
+            self.row |= {"mesh_kind": rung, "mesh_limit": limit}
+            longest = self.row["max_edge"] / limit
+            if longest > _HONOURED:
+                notes.append(f"longest edge is {longest:.3g} times the limit")
+            self.row["mesh_note"] = "; ".join(notes) or None
+            self._write()
+            return
+
+    def _limit(self) -> tuple[float, list[str]]:
+        """Return the edge length in mm that keeps the mesh within bounds, and what to note."""
+        wanted = self.settings.max_edge * float(self.row["diagonal"])
+        # An equilateral triangle of side a covers sqrt(3)/4 a^2; real meshes need twice as many.
+        least = float(np.sqrt(2 * self.row["area"] / (0.433 * self.settings.max_triangles)))
+        if wanted >= least:
+            return wanted, []
+        return least, [f"limit raised from {wanted:.4g} mm to keep to {self.settings.max_triangles} triangles"]
+
+    def _mesh(self, model: GmshModel, rung: str, limit: float) -> Mesh:
+        if rung == "tessellation":
+            mesh = tessellate(model, limit)
+        else:
+            mesh = gmsh_mesh(model, limit, self.settings, rung)
+        self.periods = _periods(model.brep)
+        return refine(mesh, model, self.periods, limit, 2 * self.settings.max_triangles)
+
+    def _truth(self, model: GmshModel, mesh: Mesh) -> None:
+        flipped = np.array([row["reversed"] for row in model.brep.patches], dtype=bool)
+        mesh, truth = derive(mesh, model, self.periods, flipped, self.row["diagonal"])
+        mesh, _ = wind(mesh, truth)
+        self.tables |= mesh_tables(self.id, model.brep, self.tables, mesh, truth)
+        self.row |= mesh_columns(mesh)
+
+
+class _Limited:
+    """A readable file that refuses to give more than so many bytes."""
+
+    def __init__(self, file: Any, most: int) -> None:
+        self.file, self.left = file, most
+
+    def read(self, size: int) -> bytes:
+        data: bytes = self.file.read(size)
+        self.left -= len(data)
+        if self.left < 0:
+            raise OSError(f"it unpacks to more than {MAX_UNPACKED} bytes")
+        return data
+
+
+def _periods(brep: Brep) -> Periods:
+    """Return the periods and bounds of a model's surfaces, from ``Geom_Surface``."""
+    n = len(brep.surfaces)
+    period, bounds = np.full((n, 2), np.inf), np.tile([-np.inf, np.inf] * 2, (n, 1))
+    for i, surface in enumerate(brep.surfaces):
+        limits = surface.Bounds()
+        closed = (surface.IsUClosed(), surface.IsVClosed())
+        periodic = (surface.IsUPeriodic(), surface.IsVPeriodic())
+        for axis in (0, 1):
+            low, high = limits[2 * axis : 2 * axis + 2]
+            if closed[axis]:
+                period[i, axis] = high - low
+            if not periodic[axis]:
+                bounds[i, 2 * axis : 2 * axis + 2] = low, high
+    return Periods(period, bounds)
+
+
+def printable(path: Path) -> str:
+    """Return a path as text that UTF-8 columns can hold."""
+    return str(path).encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+
+
+def silence() -> None:
+    """Stop OCCT from printing; what matters comes back as failures."""
+    from OCP.Message import Message
+
+    messenger = Message.DefaultMessenger_s()
+    messenger.ChangePrinters().Clear()
+
+
+def versions() -> dict[str, str]:
+    """Return the version columns of ``models``."""
+    import gmsh
+    import OCP
+
+    from breplake import __version__
+
+    occt = getattr(OCP, "__version__", "unknown")
+    return {
+        "occt_version": str(occt),
+        "gmsh_version": str(gmsh.GMSH_API_VERSION),
+        "breplake_version": __version__,
+    }

@@ -1,0 +1,297 @@
+"""A lake at one snapshot, as readers see it: ``lake = breplake.open("lake")``."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from breplake.errors import LakeFormatError, NameNotFoundError, UsageError
+from breplake.queries.rows import RowReader
+from breplake.schema.array_reader import ArrayShardReader
+from breplake.schema.lake import LakeStore
+from breplake.schema.snapshot import ARRAYS_TABLE, Snapshot
+from breplake.schema.tables import TABLES
+
+if TYPE_CHECKING:
+    import duckdb
+    import polars as pl
+    import pyarrow as pa
+
+    from breplake.queries.info import LakeInfo
+
+__all__ = ["Lake"]
+
+
+class Lake:
+    """Read a lake at one snapshot.
+
+    It may be pickled and used in worker processes, forked ones too: each process opens its
+    own connection when it first needs one.
+
+    Parameters
+    ----------
+    path : str or pathlib.Path
+        The lake's folder.
+    at : int or str, optional
+        Number or tag of a snapshot; the newest if not given. The session stays at that
+        snapshot when others commit.
+
+    Raises
+    ------
+    LakeNotFoundError
+        If there is no lake in that folder.
+    NameNotFoundError
+        If there is no such snapshot.
+    LakeFormatError
+        If the lake is of a version that this breplake cannot read.
+
+    Attributes
+    ----------
+    store : LakeStore
+        The files and snapshots behind it.
+    snapshot : Snapshot
+        What it reads.
+    """
+
+    def __init__(self, path: str | Path, at: int | str | None = None) -> None:
+        self.store = LakeStore.open(path)
+        self.snapshot: Snapshot = self.store.snapshot(at)
+        self._reset()
+
+    def _reset(self) -> None:
+        self._rows = RowReader(self.root, self.snapshot)
+        self._shards: dict[str, ArrayShardReader] = {}
+        self._connection: duckdb.DuckDBPyConnection | None = None
+        self._pid = os.getpid()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"root": self.root, "number": self.snapshot.number}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.store = LakeStore.open(state["root"])
+        self.snapshot = self.store.snapshot(state["number"])
+        self._reset()
+
+    def __repr__(self) -> str:
+        return f"Lake({str(self.root)!r}, at={self.snapshot.number})"
+
+    @property
+    def root(self) -> Path:
+        """Absolute path of the lake's folder."""
+        return self.store.root
+
+    def at(self, at: int | str | None = None) -> Lake:
+        """Return this lake at another snapshot, by number or tag; None is the newest."""
+        return Lake(self.root, at)
+
+    def files(self, table: str) -> list[str]:
+        """Return the absolute paths of a table's files (or of ``arrays``) at this snapshot.
+
+        Raises
+        ------
+        NameNotFoundError
+            If there is no such table.
+        """
+        _require_table(table, ARRAYS_TABLE)
+        return [str(self.root / entry.path) for entry in self.snapshot.table_files(table)]
+
+    @property
+    def connection(self) -> duckdb.DuckDBPyConnection:
+        """The DuckDB session of this process, with a view for each table.
+
+        It is an ordinary session in memory that runs any statement, for instance
+        ``lake.connection.execute("CREATE TABLE mine AS FROM 'mine.csv'")`` to join tables of
+        your own in `sql`.
+        """
+        if self._pid != os.getpid():
+            # threads do not survive a fork: keep the parent's session alive, but out of use
+            self._inherited = self._connection
+            self._connection, self._pid = None, os.getpid()
+        if self._connection is None:
+            self._connection = self._connect()
+        return self._connection
+
+    def _connect(self) -> duckdb.DuckDBPyConnection:
+        import duckdb
+
+        from breplake.queries.views import create_views
+
+        spill = Path(tempfile.gettempdir()) / f"breplake-{os.getuid()}-duckdb"
+        connection = duckdb.connect(
+            ":memory:",
+            config={
+                "autoinstall_known_extensions": "false",  # a query must not go to the network
+                "python_enable_replacements": "false",  # nor read a Python variable by its name
+                "temp_directory": str(spill),  # DuckDB's default is .tmp in the current folder
+            },
+        )
+        try:
+            create_views(connection, {table: self.files(table) for table in TABLES})
+        except duckdb.Error as error:
+            raise LakeFormatError(f"the lake is damaged ({error}): run breplake check") from error
+        return connection
+
+    def sql(
+        self, query: str, params: Sequence[Any] | Mapping[str, Any] | None = None
+    ) -> duckdb.DuckDBPyRelation:
+        """Run SQL that reads; the tables are views by their names.
+
+        Besides the tables there are ``vertex_normals`` and ``adjacency``
+        (see `breplake.queries.views`).
+
+        Parameters
+        ----------
+        query : str
+            One or more reading statements. This prevents accidents and is no sandbox: do not
+            run SQL of people you do not trust.
+        params : sequence or mapping, optional
+            Values of ``?`` or ``$name``.
+
+        Returns
+        -------
+        duckdb.DuckDBPyRelation
+            Of the last statement. It runs when its rows are asked for, and each time anew:
+            ``.fetchall()``, ``.to_arrow_table()``, ``.to_arrow_reader()``, ``.pl()``, ``.df()``.
+
+        Raises
+        ------
+        UsageError
+            If the query is wrong, or does anything but read.
+        """
+        import duckdb
+
+        from breplake.queries.statements import require_reading
+
+        # a cursor of its own lets threads, and results still being read, go side by side
+        cursor = self.connection.cursor()
+        require_reading(cursor, query)
+        try:
+            return cursor.sql(query, params=params)
+        except duckdb.Error as error:
+            raise UsageError(str(error)) from error
+
+    def scan(self, table: str) -> pl.LazyFrame:
+        """Return a polars frame over the files of `table`, which reads when collected.
+
+        Raises
+        ------
+        NameNotFoundError
+            If there is no such table.
+        """
+        import polars as pl
+
+        _require_table(table)
+        paths = self.files(table)
+        if paths:
+            return pl.scan_parquet(paths, glob=False, hive_partitioning=False)
+        empty = pl.from_arrow(TABLES[table].empty())
+        assert isinstance(empty, pl.DataFrame)  # from_arrow of a table is a frame
+        return empty.lazy()
+
+    def read(self, table: str, model_id: int, columns: Sequence[str] | None = None) -> pa.Table:
+        """Return the rows of one model, sorted by the table's key; only its shard is read.
+
+        Raises
+        ------
+        NameNotFoundError
+            If there is no such table, column or model.
+        """
+        _require_table(table)
+        names = TABLES[table].schema.names
+        if unknown := sorted(set(columns or ()) - set(names)):
+            raise NameNotFoundError(
+                f"table {table} has no column {unknown[0]}{_near(unknown[0], names)}"
+            )
+        return self._rows.read(table, int(model_id), columns)
+
+    def model(self, name_or_id: str | int) -> dict[str, Any]:
+        """Return the row of a model in ``models``.
+
+        Parameters
+        ----------
+        name_or_id : str or int
+            Its ``name``, ``collection/name`` or ``model_id``.
+
+        Raises
+        ------
+        NameNotFoundError
+            If there is none; the message names the nearest.
+        UsageError
+            If models of several collections have that name.
+        """
+        rows = self.read("models", self._find_model(name_or_id))
+        if rows.num_rows == 0:
+            raise NameNotFoundError(self._failure_message(name_or_id))
+        row: dict[str, Any] = rows.to_pylist(maps_as_pydicts="strict")[0]
+        return row
+
+    def _find_model(self, name_or_id: str | int) -> int:
+        if not isinstance(name_or_id, str):
+            return int(name_or_id)
+        query = (
+            "SELECT model_id, collection FROM {} WHERE name = $name OR "
+            "(ends_with($name, name) AND concat(collection, '/', name) = $name) ORDER BY ALL"
+        )
+        for table in ("models", "failures"):
+            sql = query.format(table).replace("SELECT", "SELECT DISTINCT", 1)
+            found = self.sql(sql, {"name": name_or_id}).fetchall()
+            if len(found) > 1:
+                names = " or ".join(f"{collection}/{name_or_id}" for _, collection in found)
+                raise UsageError(f"several models are called {name_or_id}: say {names}")
+            if found:
+                return int(found[0][0])
+        if name_or_id.isdigit():
+            return int(name_or_id)
+        raise NameNotFoundError(f"no model {name_or_id!r}{self._near_models(name_or_id)}")
+
+    def _near_models(self, name: str) -> str:
+        query = (
+            "SELECT name FROM models ORDER BY jaro_winkler_similarity(name, ?) DESC, name LIMIT 3"
+        )
+        found = [row[0] for row in self.sql(query, [name]).fetchall()]
+        return f": did you mean {', '.join(found)}?" if found else ""
+
+    def _failure_message(self, name_or_id: str | int) -> str:
+        failures = self.read("failures", self._find_model(name_or_id)).to_pylist()
+        said = failures[-1]["message"] if failures else "unknown"
+        return f"{name_or_id} was not read into the lake: {said}"
+
+    def arrays(self, shard: str) -> ArrayShardReader:
+        """Return the reader of a shard's arrays.
+
+        Raises
+        ------
+        NameNotFoundError
+            If the snapshot has no arrays of that shard.
+        """
+        if shard not in self._shards:
+            entry = self.snapshot.file(ARRAYS_TABLE, shard)
+            if entry is None:
+                raise NameNotFoundError(
+                    f"snapshot {self.snapshot.number} has no arrays of {shard!r}"
+                )
+            self._shards[shard] = ArrayShardReader(self.root / entry.path)
+        return self._shards[shard]
+
+    def info(self) -> LakeInfo:
+        """Return what is in the lake."""
+        from breplake.queries.info import describe
+
+        return describe(self)
+
+
+def _require_table(name: str, *also: str) -> None:
+    known = [*TABLES, *also]
+    if name not in known:
+        raise NameNotFoundError(
+            f"there is no table {name!r}{_near(name, known)}; tables are {', '.join(known)}"
+        )
+
+
+def _near(name: str, known: Sequence[str]) -> str:
+    found = difflib.get_close_matches(name, known, n=1)
+    return f": did you mean {found[0]}?" if found else ""

@@ -1,0 +1,1 @@
+"""What a lake is: table and array contracts, closed-form geometry, snapshots."""

@@ -1,0 +1,90 @@
+"""The command ``breplake``: one function per command, in ``breplake.commands``."""
+
+from __future__ import annotations
+
+import os
+import sys
+from itertools import takewhile
+from typing import Annotated, Any
+
+import typer
+from typer.core import TyperGroup
+
+from breplake.commands.contents import files, info, snapshots, tag
+from breplake.commands.ingest import ingest
+from breplake.commands.parts import samples
+from breplake.commands.proof import check, show
+from breplake.commands.sql import sql
+from breplake.errors import BreplakeError
+
+__all__ = ["app", "main"]
+
+
+class _Commands(TyperGroup):
+    """Commands whose errors are one clear line and exit code 2."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command; with --debug, let its errors through."""
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError:
+            raise
+        except (BreplakeError, OSError) as error:
+            if ctx.params.get("debug"):
+                raise
+            typer.echo(f"breplake: {_one_line(str(error))}", err=True)
+            raise typer.Exit(2) from error
+
+
+def _one_line(message: str) -> str:
+    """Return a message without the excerpt of the query that DuckDB adds to it."""
+    said = takewhile(lambda line: not line.startswith("LINE "), message.splitlines())
+    return " ".join(line.strip() for line in said if line.strip())
+
+
+app = typer.Typer(
+    cls=_Commands,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_show_locals=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from breplake import __version__
+
+        typer.echo(f"breplake {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option(
+            "--version", help="Print the version.", callback=_print_version, is_eager=True
+        ),
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+) -> None:
+    """Build, query and check a data lake of CAD boundary representations."""
+
+
+for command in (samples, ingest, info, sql, files, show, check, snapshots, tag):
+    app.command(command.__name__)(command)
+
+
+def main() -> None:
+    """Run the command line; the end of a pipe that closed early is no error."""
+    try:
+        app()
+    except BrokenPipeError:
+        # Python flushes stdout once more at exit: give it somewhere to go
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()
