@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from breplake.errors import InputError
 from breplake.ingest.clock import KERNEL
@@ -15,12 +16,17 @@ from breplake.ingest.canonical import Canonical, PartShape, explore, shape_list
 from breplake.ingest.failure import advise
 from breplake.ingest.geometry import Row, curve_row, surface_row, untrimmed
 from breplake.ingest.load import Label
-from breplake.ingest.sharpness import Dihedral, classify
+from breplake.ingest.sharpness import Crease, Dihedral, classify, measure
+from breplake.schema.tables import PATCHES
 
 __all__ = ["INFINITE", "Brep", "Coedge", "extract"]
 
 INFINITE: Final = 1e50
 """Parameters beyond this are OCCT's way of saying infinite (``Precision::Infinite``)."""
+
+
+NO_AREA: Final = 1e-10
+"""A patch of less area than this share of the squared diagonal is a fault of the file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +35,7 @@ class Coedge:
 
     patch_id: int
     loop: int
-    order: int
+    place: int
     curve_id: int
     reversed: bool
     internal: bool
@@ -63,6 +69,31 @@ class Brep:
     curves: list[Row]
     coedges: list[Coedge]
     corners: list[Row]
+
+    @property
+    def diagonal(self) -> float:
+        """Diagonal of the bounding box of all parts and corners, mm."""
+        low, high = self.bounds()
+        return float(np.linalg.norm(high - low))
+
+    def bounds(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Return the corners ``(3,)`` mm of the model's bounding box."""
+        keys = ("bbox_min", "bbox_max")
+        points = [[part[key][a] for a in "xyz"] for part in self.parts for key in keys]
+        points += [[corner["point"][a] for a in "xyz"] for corner in self.corners]
+        return np.min(points, axis=0), np.max(points, axis=0)
+
+    def require_no_area(self, patch: Row) -> None:
+        """Accept that a patch has no triangles because it has no area.
+
+        Raises
+        ------
+        InputError
+            ``mesh-incomplete`` if it has area.
+        """
+        if not abs(patch["area"]) <= NO_AREA * self.diagonal**2:
+            detail = f"patch {patch['patch_id']} of {patch['area']:.3g} mm^2 got no triangles"
+            raise InputError("mesh-incomplete", advise("mesh-incomplete", detail))
 
     @property
     def internal_curves(self) -> set[int]:
@@ -106,8 +137,13 @@ def extract(canonical: Canonical, labels: Sequence[Label]) -> Brep:
     uses: dict[int, list[Coedge]] = defaultdict(list)
     for use in coedges:
         uses[use.curve_id].append(use)
+    creases = {i: c for i, edge in enumerate(edges) if (c := _crease(edge, uses[i]))}
+    table = PATCHES.from_rows({"model_id": 0, **row} for row in patches)
+    angles = dict(
+        zip(creases, measure(list(creases.values()), faces, surfaces, table), strict=True)
+    )
     curves = [
-        _curve_row(i, edge, canonical) | _role_row(edge, uses[i], faces, surfaces)
+        _curve_row(i, edge, canonical) | _role_row(edge, uses[i], angles.get(i), faces)
         for i, edge in enumerate(edges)
     ]
     return Brep(
@@ -168,12 +204,17 @@ def _bounds(shape: Any) -> Row:
     from OCP.Bnd import Bnd_Box
     from OCP.BRepBndLib import BRepBndLib
 
-    box = Bnd_Box()
-    with KERNEL():
-        BRepBndLib.AddOptimal_s(shape, box, False, False)
-    if box.IsVoid() or box.IsOpen():
-        raise InputError("unbounded", advise("unbounded", "a part has no finite bounding box"))
-    return {"bbox_min": _xyz(box.CornerMin()), "bbox_max": _xyz(box.CornerMax())}
+    for add in (
+        lambda box: BRepBndLib.AddOptimal_s(shape, box, False, False),
+        lambda box: BRepBndLib.Add_s(shape, box, False),
+    ):
+        box = Bnd_Box()
+        with KERNEL():
+            add(box)
+        # The optimal box fails on faulty faces, the plain one is wider but sturdier.
+        if not (box.IsVoid() or box.IsOpen()):
+            return {"bbox_min": _xyz(box.CornerMin()), "bbox_max": _xyz(box.CornerMax())}
+    raise InputError("unbounded", advise("unbounded", "a part has no finite bounding box"))
 
 
 def _part_row(part_id: int, part: PartShape) -> Row:
@@ -260,7 +301,7 @@ def _coedges(canonical: Canonical, patch_id: int, face: Any) -> list[Coedge]:
     found = []
     for loop, wire in enumerate(wires):
         edges = _ordered_edges(TopoDS.Wire_s(wire), forward)
-        for order, edge in enumerate(reversed(edges) if flipped else edges):
+        for place, edge in enumerate(reversed(edges) if flipped else edges):
             orientation = edge.Orientation()
             backward = orientation == TopAbs_Orientation.TopAbs_REVERSED
             internal = orientation in (
@@ -269,7 +310,7 @@ def _coedges(canonical: Canonical, patch_id: int, face: Any) -> list[Coedge]:
             )
             curve_id = canonical.edges.FindIndex(edge) - 1
             found.append(
-                Coedge(patch_id, loop, order, curve_id, backward != flipped, internal)
+                Coedge(patch_id, loop, place, curve_id, backward != flipped, internal)
             )
     return found
 
@@ -301,7 +342,8 @@ def _curve_row(curve_id: int, edge: Any, canonical: Canonical) -> Row:
     length = None
     if curve is not None:
         with KERNEL():
-            length = GCPnts_AbscissaPoint.Length_s(BRepAdaptor_Curve(edge))
+            # Without a tolerance the length of an ellipse is off by up to 0.4 %.
+            length = GCPnts_AbscissaPoint.Length_s(BRepAdaptor_Curve(edge), 1e-9)
     ends = [TopExp.FirstVertex_s(edge), TopExp.LastVertex_s(edge)]
     corners = [None if v.IsNull() else canonical.vertices.FindIndex(v) - 1 for v in ends]
     return {
@@ -316,41 +358,46 @@ def _curve_row(curve_id: int, edge: Any, canonical: Canonical) -> Row:
     }
 
 
-def _role_row(edge: Any, uses: list[Coedge], faces: list[Any], surfaces: list[Any]) -> Row:
-    """Return what the curve is to its patches, with the dihedral angle."""
+def _crease(edge: Any, uses: list[Coedge]) -> Crease | None:
+    """Return the edge as a crease if exactly two patches meet at it."""
     from OCP.BRep import BRep_Tool
 
     bounding = [use for use in uses if not use.internal]
-    left = next((use.patch_id for use in bounding if not use.reversed), None)
-    right = next((use.patch_id for use in bounding if use.reversed), None)
-    patches = sorted({use.patch_id for use in uses})
-    two_sided = len(bounding) == 2 and len({use.patch_id for use in bounding}) == 2
-    dihedral, stored = None, None
-    if BRep_Tool.Degenerated_s(edge):
-        kind = "degenerate"
-    elif not uses:
-        kind = "free"
-    elif not bounding:
-        kind = "smooth"
-    elif two_sided:
-        dihedral = Dihedral.measure(edge, bounding, faces, surfaces)
-        kind = classify(dihedral)
+    if len(bounding) != 2 or BRep_Tool.Degenerated_s(edge):
+        return None
+    left, right = sorted(bounding, key=lambda use: use.reversed)
+    return Crease(edge, left.patch_id, right.patch_id) if left.patch_id != right.patch_id else None
+
+
+def _role_row(
+    edge: Any, uses: list[Coedge], dihedral: Dihedral | None, faces: list[Any]
+) -> Row:
+    """Return what the curve is to its patches."""
+    from OCP.BRep import BRep_Tool
+
+    bounding = [use for use in uses if not use.internal]
+    row: Row = {
+        "left_patch": next((use.patch_id for use in bounding if not use.reversed), None),
+        "right_patch": next((use.patch_id for use in bounding if use.reversed), None),
+        "n_patches": len({use.patch_id for use in uses}),
+        "sharp": False,
+    }
+    if dihedral is not None:
+        row |= {"kind": classify(dihedral), "sharp": dihedral.sharp}
+        if np.isfinite(dihedral.angle_min):
+            row |= {"angle_min": dihedral.angle_min, "angle_max": dihedral.angle_max}
+            row["convexity"] = dihedral.convexity
         pair = (faces[bounding[0].patch_id], faces[bounding[1].patch_id])
         if BRep_Tool.HasContinuity_s(edge, *pair):
-            stored = str(BRep_Tool.Continuity_s(edge, *pair).name).rpartition("_")[2]
+            continuity = BRep_Tool.Continuity_s(edge, *pair)
+            row["stored_continuity"] = str(continuity.name).rpartition("_")[2]
+    elif BRep_Tool.Degenerated_s(edge):
+        row["kind"] = "degenerate"
+    elif not uses:
+        row["kind"] = "free"
     elif len(bounding) == 2:
-        kind = "seam"
+        row["kind"] = "seam"
     else:
-        kind = "boundary" if len(bounding) == 1 else "nonmanifold"
-    known = dihedral is not None and np.isfinite(dihedral.angle_min)
-    return {
-        "left_patch": left,
-        "right_patch": right,
-        "n_patches": len(patches),
-        "kind": kind,
-        "angle_min": dihedral.angle_min if dihedral and known else None,
-        "angle_max": dihedral.angle_max if dihedral and known else None,
-        "convexity": dihedral.convexity if dihedral and known else None,
-        "stored_continuity": stored,
-        "sharp": bool(dihedral and known and dihedral.sharp),
-    }
+        # A curve inside a patch, which bounds nothing, is smooth.
+        row["kind"] = {0: "smooth", 1: "boundary"}.get(len(bounding), "nonmanifold")
+    return row

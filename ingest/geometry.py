@@ -154,6 +154,10 @@ def _continuity(shape: Any) -> int:
 
 
 def _spline_curve_row(curve: Any) -> Row:
+    if curve.IsPeriodic() and curve.NbPoles() <= curve.Degree():
+        # OCCT's KnotSequence is wrong for these; the open spline is the same curve.
+        curve = curve.Copy()
+        curve.SetNotPeriodic()
     rational = curve.IsRational()
     n = curve.NbPoles()
     return {
@@ -247,6 +251,16 @@ def _elementary_row(surface: Any) -> Row:
 
 
 def _spline_surface_row(surface: Any) -> Row:
+    # OCCT's knot sequences are wrong for periodic splines with so few poles; the open
+    # spline is the same surface.
+    short_u = surface.IsUPeriodic() and surface.NbUPoles() <= surface.UDegree()
+    short_v = surface.IsVPeriodic() and surface.NbVPoles() <= surface.VDegree()
+    if short_u or short_v:
+        surface = surface.Copy()
+        if short_u:
+            surface.SetUNotPeriodic()
+        if short_v:
+            surface.SetVNotPeriodic()
     us, vs = range(1, surface.NbUPoles() + 1), range(1, surface.NbVPoles() + 1)
     rational = surface.IsURational() or surface.IsVRational()
     return {
@@ -260,4 +274,6 @@ def _spline_surface_row(surface: Any) -> Row:
         "u_knots": _reals(surface.UKnotSequence()),
         "v_knots": _reals(surface.VKnotSequence()),
         "weights": [[surface.Weight(i, j) for j in vs] for i in us] if rational else None,
+        "u_periodic": surface.IsUPeriodic(),
+        "v_periodic": surface.IsVPeriodic(),
     }

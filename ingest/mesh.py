@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -66,6 +66,20 @@ class Mesh:
         span = len(self.points)
         keys = self.pair_patch * span + self.pair_vertex
         return np.searchsorted(keys, patch * span + vertex)
+
+    def with_used_pairs(self) -> Mesh:
+        """Return the mesh with just the pairs that some triangle uses, in ascending order."""
+        span = len(self.points)
+        keys = self.pair_patch * span + self.pair_vertex
+        used = np.unique(np.repeat(self.patch, 3) * span + self.triangles.ravel())
+        order = np.argsort(keys, kind="stable")
+        rows = order[np.searchsorted(keys[order], used)]
+        return replace(
+            self,
+            pair_patch=self.pair_patch[rows],
+            pair_vertex=self.pair_vertex[rows],
+            uv=self.uv[rows],
+        )
 
     def curve_of_vertex(self) -> _Ints:
         """Return the curve ``(n,)`` on whose inside each vertex lies, or -1."""

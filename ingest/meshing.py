@@ -35,32 +35,37 @@ def gmsh_mesh(model: GmshModel, limit: float, settings: Settings, kind: str) -> 
     limit : float
         Edge length aimed at, mm.
     settings : Settings
-        ``min_edge``, ``max_edge`` and ``per_turn`` shape the adaptive mesh.
+        ``grading`` and ``per_turn`` shape the adaptive mesh.
     kind : {"uniform", "adaptive"}
         Uniform, or sized by curvature between the two bounds.
 
     Raises
     ------
     InputError
-        ``mesh-failed`` if Gmsh gives up, ``mesh-incomplete`` if a patch has no triangles.
+        ``mesh-failed`` if Gmsh gives up on a patch, ``mesh-incomplete`` if it leaves one empty
+        without a word. Patches of no area may stay empty.
     """
     gmsh = model.gmsh
     adaptive = kind == "adaptive"
-    least = limit * settings.min_edge / settings.max_edge if adaptive else 0.0
+    least = limit * settings.grading if adaptive else 0.0
     gmsh.option.setNumber("Mesh.MeshSizeMax", limit * SIZE)
     gmsh.option.setNumber("Mesh.MeshSizeMin", least)
     gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", settings.per_turn if adaptive else 0)
     gmsh.logger.start()
+    complaint: InputError | None = None
     try:
         with KERNEL():
             gmsh.model.mesh.generate(2)
     except Exception as error:  # gmsh raises plain Exception for everything
         errors = [line for line in gmsh.logger.get() if line.startswith("Error")]
         detail = f"{kind}: {error}; {' / '.join(errors[:3])}"
-        raise InputError("mesh-failed", advise("mesh-failed", detail)) from error
+        complaint = InputError("mesh-failed", advise("mesh-failed", detail))
     finally:
         gmsh.logger.stop()
-    return _Extract(model).mesh()
+    try:
+        return _Extract(model).mesh()
+    except InputError as incomplete:
+        raise complaint or incomplete from incomplete
 
 
 class _Extract:
@@ -91,18 +96,20 @@ class _Extract:
             corner,
             self._curves(number),
             *self._pairs(number),
-        )
+        ).with_used_pairs()
 
     def _triangles(self) -> tuple[_Ints, _Ints]:
         blocks, owners = [], []
-        for patch_id in range(len(self.brep.faces)):
+        for patch_id, row in enumerate(self.brep.patches):
             types, _, nodes = self.api.getElements(2, patch_id + 1)
             if list(types) != [2] or not len(nodes[0]):
-                detail = f"patch {patch_id} of area {self.brep.patches[patch_id]['area']:.3g} mm^2"
-                raise InputError("mesh-incomplete", advise("mesh-incomplete", detail))
+                self.brep.require_no_area(row)
+                continue
             block = np.asarray(nodes[0], dtype=np.int64).reshape(-1, 3)
             blocks.append(block)
             owners.append(np.full(len(block), patch_id, dtype=np.int64))
+        if not blocks:
+            raise InputError("mesh-incomplete", advise("mesh-incomplete", "there is no triangle"))
         return np.concatenate(blocks), np.concatenate(owners)
 
     def _node_order(self, triangles: _Ints) -> _Ints:
@@ -153,7 +160,6 @@ class _Extract:
                 tags, _, uv = self.api.getNodes(2, patch_id + 1, includeBoundary=True)
             # Seam and corner nodes come more than once; the first is as good as the others.
             unique, first = np.unique(number[np.asarray(tags, dtype=np.int64)], return_index=True)
-            first, unique = first[unique >= 0], unique[unique >= 0]
             patches.append(np.full(len(unique), patch_id, dtype=np.int64))
             vertices.append(unique)
             parameters.append(np.reshape(uv, (-1, 2))[first])

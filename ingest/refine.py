@@ -65,7 +65,7 @@ class Periods:
 
 
 def refine(mesh: Mesh, geometry: Geometry, periods: Periods, limit: float, most: int) -> Mesh:
-    """Return `mesh` with every edge at most `limit` long.
+    """Return `mesh` with every edge at most `limit` long, as far as the geometry lets.
 
     Parameters
     ----------
@@ -80,21 +80,35 @@ def refine(mesh: Mesh, geometry: Geometry, periods: Periods, limit: float, most:
     most : int
         Stop before the mesh has more triangles than this.
     """
+    frozen = np.empty(0, dtype=np.int64)  # edges whose middle is not where it should be
     for _ in range(_ROUNDS):
         edges, of_triangle, _ = unique_edges(mesh.triangles)
         lengths = edge_lengths(mesh.points, edges)
-        if not (lengths > limit).any():
+        free = ~np.isin(_keys(edges), frozen)
+        if not (free & (lengths > limit)).any():
             break
-        split = _propagate(lengths > limit, lengths, of_triangle)
+        split = _propagate(free & (lengths > limit), free, lengths, of_triangle)
         if len(mesh.triangles) + 2 * int(split.sum()) > most:
             break
-        mesh = _Split(mesh, geometry, periods, edges, of_triangle, split).mesh()
+        done = _Split(mesh, geometry, periods, edges, of_triangle, split)
+        finer = done.mesh()
+        astray = done.astray()
+        if len(astray):
+            frozen = np.concatenate([frozen, _keys(astray)])
+        else:
+            mesh = finer
     return mesh
 
 
-def _propagate(split: _Bools, lengths: _Floats, of_triangle: _Ints) -> _Bools:
-    """Add the longest edge of every triangle that has an edge to split."""
-    longest = of_triangle[np.arange(len(of_triangle)), lengths[of_triangle].argmax(axis=1)]
+def _keys(edges: _Ints) -> _Ints:
+    """Return one number ``(e,)`` for each edge ``(e, 2)``, the same in every round."""
+    return edges[:, 0] << 32 | edges[:, 1]
+
+
+def _propagate(split: _Bools, free: _Bools, lengths: _Floats, of_triangle: _Ints) -> _Bools:
+    """Add the longest free edge of every triangle that has an edge to split."""
+    ranked = np.where(free, lengths, 0.0)[of_triangle]  # (f, 3)
+    longest = of_triangle[np.arange(len(of_triangle)), ranked.argmax(axis=1)]
     while True:
         wanted = longest[split[of_triangle].any(axis=1)]
         if split[wanted].all():
@@ -146,6 +160,16 @@ class _Split:
             pair_vertex[order],
             np.concatenate([old.uv, uv])[order],
         )
+
+    def astray(self) -> _Ints:
+        """Return the edges ``(k, 2)`` whose new vertex is farther off than half of them.
+
+        There the file's curve and surface disagree, and splitting would never end.
+        """
+        middle = self.old.points[self.ends].mean(axis=1)
+        off = np.linalg.norm(self.points - middle, axis=1)
+        length = edge_lengths(self.old.points, self.ends)
+        return self.ends[~(off <= 0.5 * length)]
 
     def _place_on_curves(self) -> None:
         """Put the new vertices of curve segments on their curve, halfway in the parameter."""

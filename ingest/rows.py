@@ -33,7 +33,7 @@ def brep_tables(model_id: int, brep: Brep) -> dict[str, pa.Table]:
         {
             "patch_id": use.patch_id,
             "loop": use.loop,
-            "order": use.order,
+            "place": use.place,
             "curve_id": use.curve_id,
             "reversed": use.reversed,
         }
@@ -55,7 +55,7 @@ def brep_columns(brep: Brep) -> Row:
     curves = Counter(row["type"] for row in brep.curves)
     solids = [part for part in brep.parts if part["kind"] == "solid"]
     volume = sum(part["volume"] for part in solids) if solids else None
-    low, high = _bounds(brep)
+    low, high = brep.bounds()
     kinds = {row["kind"] for row in brep.curves}
     return {
         "n_parts": len(brep.parts),
@@ -79,14 +79,6 @@ def brep_columns(brep: Brep) -> Row:
         ),
         "fingerprint": fingerprint(brep.patches, brep.curves, volume),
     }
-
-
-def _bounds(brep: Brep) -> tuple[_Floats, _Floats]:
-    """Return the corners ``(3,)`` of the model's bounding box, of corners without parts."""
-    boxes = [[part[key][a] for a in "xyz"] for part in brep.parts for key in ("bbox_min", "bbox_max")]
-    boxes += [[corner["point"][a] for a in "xyz"] for corner in brep.corners]
-    points = np.array(boxes)
-    return points.min(axis=0), points.max(axis=0)
 
 
 def mesh_tables(

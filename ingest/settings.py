@@ -30,8 +30,8 @@ class Settings:
         Meshing mode of the paper (section 3.2, step 2).
     max_edge : float
         Longest mesh edge, as a fraction of the bounding box diagonal.
-    min_edge : float
-        Adaptive mode: smallest element size, as a fraction of the diagonal.
+    grading : float
+        Adaptive mode: smallest element size, as a fraction of the longest edge.
     per_turn : int
         Adaptive mode: elements per 2 pi of curvature.
     max_triangles : int
@@ -49,7 +49,7 @@ class Settings:
 
     mesh: MeshMode = "uniform"
     max_edge: float = 0.01
-    min_edge: float = 0.0005
+    grading: float = 0.05
     per_turn: int = 16
     max_triangles: int = 2_000_000
     timeout: float = 120.0
@@ -60,7 +60,7 @@ class Settings:
         rules = (
             (self.mesh in RUNGS, f"mesh must be one of {', '.join(RUNGS)}", self.mesh),
             (0 < self.max_edge <= 1, "max_edge must be in (0, 1], 0.01 is 1 %", self.max_edge),
-            (0 < self.min_edge <= self.max_edge, "min_edge must be in (0, max_edge]", self.min_edge),
+            (0 < self.grading <= 1, "grading must be in (0, 1]", self.grading),
             (self.per_turn >= 3, "per_turn must be at least 3", self.per_turn),
             (self.max_triangles >= 1000, "max_triangles must be at least 1000", self.max_triangles),
             (self.timeout > 0, "timeout must be more than 0 seconds", self.timeout),
@@ -75,5 +75,5 @@ class Settings:
         """Hash of the settings that decide content; limits on resources do not."""
         content = {k: v for k, v in asdict(self).items() if k not in ("timeout", "memory")}
         if self.mesh == "uniform":
-            del content["min_edge"], content["per_turn"]
+            del content["grading"], content["per_turn"]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

@@ -5,12 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+import pyarrow as pa
 
-__all__ = ["SAMPLES", "SHARP_COSINE", "Dihedral", "classify"]
+from breplake.schema.surfaces import SurfaceSet
+
+__all__ = [
+    "SAMPLES",
+    "SHARP_COSINE",
+    "Crease",
+    "Dihedral",
+    "classify",
+    "dihedrals",
+    "measure",
+]
+
+_Floats = npt.NDArray[np.float64]
 
 SHARP_COSINE: Final = 0.95
 """ABC's threshold: normals that differ by more than 18.2 degrees make a sharp curve."""
@@ -20,15 +33,6 @@ SAMPLES: Final = 11
 
 _CREASE: Final = math.radians(0.5)
 """Below this angle the side to which a curve bends is rounding noise."""
-
-
-class _Use(Protocol):
-    """What is needed of a coedge."""
-
-    @property
-    def patch_id(self) -> int: ...
-    @property
-    def reversed(self) -> bool: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,36 +55,8 @@ class Dihedral:
     sharp: bool
 
     @classmethod
-    def measure(
-        cls, edge: Any, uses: Sequence[_Use], faces: Sequence[Any], surfaces: Sequence[Any]
-    ) -> Dihedral:
-        """Sample the outward normals of both patches through the curve's pcurves."""
-        from OCP.BRep import BRep_Tool
-        from OCP.BRepAdaptor import BRepAdaptor_Curve
-        from OCP.gp import gp_Pnt, gp_Vec
-
-        t_min, t_max = BRep_Tool.Range_s(edge)
-        parameters = t_min + (np.arange(SAMPLES) + 0.5) / SAMPLES * (t_max - t_min)  # (s,)
-        left, right = sorted(uses, key=lambda use: use.reversed)
-        normals = [
-            _normals(edge, faces[use.patch_id], surfaces[use.patch_id], parameters)
-            for use in (left, right)
-        ]
-        curve, point, vector = BRepAdaptor_Curve(edge), gp_Pnt(), gp_Vec()
-        tangents = np.empty((SAMPLES, 3))  # (s, 3)
-        for i, t in enumerate(parameters):
-            curve.D1(t, point, vector)
-            tangents[i] = vector.X(), vector.Y(), vector.Z()
-        return cls.between(normals[0], normals[1], tangents)
-
-    @classmethod
-    def between(
-        cls,
-        left: npt.NDArray[np.float64],
-        right: npt.NDArray[np.float64],
-        tangents: npt.NDArray[np.float64],
-    ) -> Dihedral:
-        """Derive the angles from samples.
+    def between(cls, left: _Floats, right: _Floats, tangents: _Floats) -> Dihedral:
+        """Derive the angles of one curve from samples.
 
         Parameters
         ----------
@@ -90,45 +66,128 @@ class Dihedral:
         tangents : numpy.ndarray
             ``(s, 3)`` tangents of the curve, any length.
         """
-        defined = np.isfinite(left).all(axis=1) & np.isfinite(right).all(axis=1)
-        if not defined.any():
-            return cls(math.nan, math.nan, None, False)
-        a, b = left[defined], right[defined]
-        cosine = np.einsum("ij,ij->i", a, b)
-        cross = np.cross(a, b)  # (s, 3)
-        # atan2 keeps small angles exact, where arccos loses half of the digits
-        angle = np.arctan2(np.linalg.norm(cross, axis=1), cosine)
-        side = np.einsum("ij,ij->i", cross, tangents[defined])
-        signs = {float(s) for s in np.sign(side[angle > _CREASE])} - {0.0}
-        convexity = None
-        if signs:
-            convexity = "mixed" if len(signs) == 2 else "convex" if 1.0 in signs else "concave"
-        sharp = bool((np.abs(cosine) <= SHARP_COSINE).all())
-        return cls(float(angle.min()), float(angle.max()), convexity, sharp)
+        return dihedrals(left[None], right[None], tangents[None])[0]
 
 
-def _normals(
-    edge: Any, face: Any, surface: Any, parameters: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64]:
-    """Return ``(s, 3)`` outward normals of a face along its pcurve; NaN where singular."""
-    from OCP.BRepAdaptor import BRepAdaptor_Curve2d
-    from OCP.gp import gp_Pnt, gp_Pnt2d, gp_Vec
-    from OCP.TopAbs import TopAbs_Orientation
+def dihedrals(left: _Floats, right: _Floats, tangents: _Floats) -> list[Dihedral]:
+    """Derive the angles of many curves; arguments are ``(e, s, 3)`` as in `Dihedral.between`."""
+    defined = np.isfinite(left).all(axis=2) & np.isfinite(right).all(axis=2)  # (e, s)
+    cosine = np.einsum("esi,esi->es", left, right)
+    cross = np.cross(left, right)  # (e, s, 3)
+    # atan2 keeps small angles exact, where arccos loses half of the digits
+    angle = np.arctan2(np.linalg.norm(cross, axis=2), cosine)
+    side = np.einsum("esi,esi->es", cross, tangents)
+    bent = defined & (angle > _CREASE)
+    convex, concave = (bent & (side > 0)).any(axis=1), (bent & (side < 0)).any(axis=1)
+    known = defined.any(axis=1)
+    sharp = known & (~defined | (np.abs(cosine) <= SHARP_COSINE)).all(axis=1)
+    least = np.where(defined, angle, np.inf).min(axis=1, initial=np.inf)
+    most = np.where(defined, angle, -np.inf).max(axis=1, initial=-np.inf)
+    names = np.select([convex & concave, convex, concave], ["mixed", "convex", "concave"], "")
+    return [
+        Dihedral(
+            float(least[i]) if known[i] else math.nan,
+            float(most[i]) if known[i] else math.nan,
+            str(names[i]) or None,
+            bool(sharp[i]),
+        )
+        for i in range(len(left))
+    ]
 
-    pcurve = BRepAdaptor_Curve2d(edge, face)
-    point2, point, du, dv = gp_Pnt2d(), gp_Pnt(), gp_Vec(), gp_Vec()
-    tangents = np.empty((2, len(parameters), 3))  # (2, s, 3)
+
+@dataclass(frozen=True, slots=True)
+class Crease:
+    """A curve between two patches, to be measured.
+
+    Parameters
+    ----------
+    edge : TopoDS_Edge
+        The curve.
+    left, right : int
+        Patch whose loop runs along the curve, and the one whose loop runs against it.
+    """
+
+    edge: Any
+    left: int
+    right: int
+
+
+def measure(
+    creases: Sequence[Crease], faces: Sequence[Any], surfaces: Sequence[Any], patches: pa.Table
+) -> list[Dihedral]:
+    """Measure the dihedral angle of many curves through their pcurves.
+
+    Parameters
+    ----------
+    creases : sequence of Crease
+        The curves.
+    faces, surfaces : sequence
+        ``TopoDS_Face`` and untrimmed ``Geom_Surface`` by patch.
+    patches : pyarrow.Table
+        The rows of ``patches``, in order of patch_id.
+    """
+    if not creases:
+        return []
+    patch = np.array([[crease.left, crease.right] for crease in creases])  # (e, 2)
+    uv = np.empty((len(creases), 2, SAMPLES, 2))
+    tangents = np.empty((len(creases), SAMPLES, 3))
+    for i, crease in enumerate(creases):
+        tangents[i], parameters = _tangents(crease.edge)
+        for j, patch_id in enumerate((crease.left, crease.right)):
+            uv[i, j] = _pcurve(crease.edge, faces[patch_id], parameters)
+    rows = np.repeat(patch.ravel(), SAMPLES)
+    u, v = uv.reshape(-1, 2).T
+    known = SurfaceSet.from_patches(patches)
+    normals = known.evaluate(rows, u, v).normal()  # (e 2 s, 3)
+    for k in np.flatnonzero(~known.known[rows] & np.isfinite(u)):
+        normals[k] = _kernel_normal(surfaces[rows[k]], u[k], v[k])
+    flipped = patches.column("reversed").to_numpy(zero_copy_only=False)[rows]
+    normals = np.where(flipped[:, None], -normals, normals).reshape(-1, 2, SAMPLES, 3)
+    return dihedrals(normals[:, 0], normals[:, 1], tangents)
+
+
+def _tangents(edge: Any) -> tuple[_Floats, _Floats]:
+    """Return tangents ``(s, 3)`` and parameters ``(s,)`` of the samples of an edge."""
+    from OCP.BRep import BRep_Tool
+    from OCP.BRepAdaptor import BRepAdaptor_Curve
+    from OCP.gp import gp_Pnt, gp_Vec
+
+    t_min, t_max = BRep_Tool.Range_s(edge)
+    parameters = t_min + (np.arange(SAMPLES) + 0.5) / SAMPLES * (t_max - t_min)  # (s,)
+    curve, point, vector = BRepAdaptor_Curve(edge), gp_Pnt(), gp_Vec()
+    tangents = np.empty((SAMPLES, 3))
     for i, t in enumerate(parameters):
-        pcurve.D0(t, point2)
-        surface.D1(point2.X(), point2.Y(), point, du, dv)
-        tangents[0, i] = du.X(), du.Y(), du.Z()
-        tangents[1, i] = dv.X(), dv.Y(), dv.Z()
-    normals = np.cross(tangents[0], tangents[1])  # (s, 3)
-    size = np.linalg.norm(normals, axis=1, keepdims=True)
-    scale = np.linalg.norm(tangents, axis=2).prod(axis=0)[:, None]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        normals = np.where(size > 1e-9 * scale, normals / size, np.nan)
-    return -normals if face.Orientation() == TopAbs_Orientation.TopAbs_REVERSED else normals
+        curve.D1(t, point, vector)
+        tangents[i] = vector.X(), vector.Y(), vector.Z()
+    return tangents, parameters
+
+
+def _pcurve(edge: Any, face: Any, parameters: _Floats) -> _Floats:
+    """Return ``(s, 2)`` parameters on a face along an edge; NaN if it has no pcurve there."""
+    from OCP.BRep import BRep_Tool
+    from OCP.gp import gp_Pnt2d
+
+    # The adaptor would crash on a missing pcurve, so ask for the curve itself.
+    pcurve = BRep_Tool.CurveOnSurface_s(edge, face, 0.0, 0.0)
+    points = np.full((len(parameters), 2), np.nan)
+    if pcurve is not None:
+        point = gp_Pnt2d()
+        for i, t in enumerate(parameters):
+            pcurve.D0(t, point)
+            points[i] = point.X(), point.Y()
+    return points
+
+
+def _kernel_normal(surface: Any, u: float, v: float) -> _Floats:
+    """Return the unit normal ``(3,)`` of a surface without closed form; NaN if singular."""
+    from OCP.gp import gp_Pnt, gp_Vec
+
+    du, dv = gp_Vec(), gp_Vec()
+    surface.D1(u, v, gp_Pnt(), du, dv)
+    cross = du.Crossed(dv)
+    if not cross.Magnitude() > 1e-9 * du.Magnitude() * dv.Magnitude():
+        return np.full(3, np.nan)
+    return np.array([cross.X(), cross.Y(), cross.Z()]) / cross.Magnitude()
 
 
 def classify(dihedral: Dihedral) -> str:

@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from breplake.errors import InputError
 from breplake.ingest.brep import Brep
 from breplake.ingest.clock import KERNEL
-from breplake.ingest.failure import advise
 from breplake.ingest.kernel import GmshModel
 from breplake.ingest.mesh import CurveNodes, Mesh
 
@@ -34,7 +32,7 @@ def tessellate(model: GmshModel, limit: float) -> Mesh:
     Raises
     ------
     InputError
-        ``mesh-incomplete`` if a patch has no triangles.
+        ``mesh-incomplete`` if a patch that has area gets no triangles.
     """
     from OCP.BRepMesh import BRepMesh_IncrementalMesh
     from OCP.BRepTools import BRepTools
@@ -81,8 +79,8 @@ class _Tessellation:
             np.concatenate(patches),
             corner,
             self.curves,
-            pair[:, 0],
-            pair[:, 1],
+            pair[:, 0].astype(np.int64),
+            pair[:, 1].astype(np.int64),
             np.concatenate(uv),
         )
         return _compact(mesh)
@@ -107,8 +105,8 @@ class _Tessellation:
         location = TopLoc_Location()
         data = BRep_Tool.Triangulation_s(face, location)
         if data is None or not data.NbTriangles():
-            detail = f"tessellation left patch {patch_id} empty"
-            raise InputError("mesh-incomplete", advise("mesh-incomplete", detail))
+            self.brep.require_no_area(self.brep.patches[patch_id])
+            return np.empty((0, 3), np.int64), np.empty(0, np.int64), np.empty((0, 2))
         n = data.NbNodes()
         nodes = (data.UVNode(i + 1) for i in range(n))
         uv = np.array([(p.X(), p.Y()) for p in nodes])  # (n, 2)
@@ -179,15 +177,13 @@ def _compact(mesh: Mesh) -> Mesh:
         if used[nodes.vertices].all()
     }
     keep = used[mesh.pair_vertex]
-    pair_patch, pair_vertex = mesh.pair_patch[keep], number[mesh.pair_vertex[keep]]
-    by_pair = np.lexsort([pair_vertex, pair_patch])
     return Mesh(
         mesh.points[order],
         number[mesh.triangles],
         mesh.patch,
         mesh.corner[order],
         curves,
-        pair_patch[by_pair],
-        pair_vertex[by_pair],
-        mesh.uv[keep][by_pair],
-    )
+        mesh.pair_patch[keep],
+        number[mesh.pair_vertex[keep]],
+        mesh.uv[keep],
+    ).with_used_pairs()

@@ -18,6 +18,7 @@ from breplake.ingest.canonical import canonical
 from breplake.ingest.clock import KERNEL, StageClock, peak_memory
 from breplake.ingest.failure import Failure, advise
 from breplake.ingest.geometry import Row
+from breplake.ingest.heal import add_missing_pcurves
 from breplake.ingest.inputs import Input
 from breplake.ingest.kernel import GmshModel, gmsh_session
 from breplake.ingest.load import Document, load
@@ -132,6 +133,7 @@ class _Model:
         from OCP.BRepCheck import BRepCheck_Analyzer
 
         shapes = canonical(document.shapes)
+        added = add_missing_pcurves(shapes.compound)
         brep = extract(shapes, document.labels)
         with KERNEL():
             valid = BRepCheck_Analyzer(shapes.compound).IsValid()
@@ -149,6 +151,7 @@ class _Model:
             "length_unit": document.length_unit,
             "scale_to_mm": document.scale_to_mm,
             "is_valid": valid,
+            "n_added_pcurves": added,
             "duplicate_group": duplicate_group(columns["fingerprint"], str(source.sha256)),
             "config_hash": self.settings.config_hash,
             **columns,

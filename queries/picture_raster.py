@@ -6,6 +6,7 @@ server as on a desk.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
@@ -20,6 +21,7 @@ Ints = NDArray[np.int64]
 
 _NOTHING: Final = np.uint64(2**64 - 1)
 _STEPS: Final = 2.0**31  # depth is kept in so many steps
+_HALVES: Final = (0, 1) if sys.byteorder == "little" else (1, 0)
 _LARGE: Final = 128  # pixels; triangles larger than this are drawn one by one
 _FRAGMENTS: Final = 1 << 20  # pixels that are tested at once
 
@@ -126,14 +128,12 @@ def rasterise(corners: Floats, width: int, height: int, *, cull: bool) -> Depths
         _draw_small(buffer, width, planes, depth, box, some, side)
     for one in np.flatnonzero(drawn & (size > _LARGE)):
         _draw_large(buffer.reshape(height, width), planes[one], depth[one], box[one], int(one))
-    seen = buffer != _NOTHING
-    triangle = np.where(seen, buffer & np.uint64(0xFFFFFFFF), 0).astype(np.int64)
-    z = (buffer >> np.uint64(32)).astype(np.float64) / _STEPS * span + near
-    return Depths(
-        np.where(seen, triangle, -1).astype(np.int32).reshape(height, width),
-        np.where(seen, z, np.inf).astype(np.float32).reshape(height, width),
-        planes,
-    )
+    codes = buffer.view(np.uint32).reshape(height, width, 2)
+    low, high = (codes[:, :, place] for place in _HALVES)
+    triangle = low.astype(np.int32)  # all bits set is -1
+    z = high * np.float32(span / _STEPS) + np.float32(near)
+    z[triangle < 0] = np.inf
+    return Depths(triangle, z, planes)
 
 
 def _planes(corners: Floats) -> tuple[Floats, Floats]:

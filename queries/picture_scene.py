@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 __all__ = ["COLOURS", "Scene"]
 
 COLOURS: Final = {
-    "Plane": "#d5d9de",
+    "Plane": "#e1e4e8",
     "Cylinder": "#77aadd",
     "Cone": "#ee8866",
     "Sphere": "#ffaabb",
@@ -51,8 +51,8 @@ class Scene:
         ``(m, 3)`` exact outward normals, NaN where undefined.
     triangles, triangle_normals : numpy.ndarray
         ``(f, 3)`` rows of `points` and of `normals`.
-    kinds : numpy.ndarray
-        ``(f,)`` place of the patch's type in `SURFACE_TYPES`.
+    patches, kinds : numpy.ndarray
+        ``(f,)`` patch of each triangle, and place of its type in `SURFACE_TYPES`.
     strong, weak : numpy.ndarray
         ``(k, 2)`` segments of curves that are drawn dark, and of those drawn light.
     closed : bool
@@ -66,6 +66,7 @@ class Scene:
     normals: Floats
     triangles: Ints
     triangle_normals: Ints
+    patches: Ints
     kinds: Ints
     strong: Ints
     weak: Ints
@@ -92,6 +93,7 @@ class Scene:
         patches = lake.read("patches", row["model_id"])
         types = np.array([SURFACE_TYPES.index(t) for t in patches["type"].to_pylist()])
         counts = {t: int(np.count_nonzero(types == i)) for i, t in enumerate(SURFACE_TYPES)}
+        patch = arrays.read("triangle_patch", *face).astype(np.int64)
         strong, weak = _segments(lake, row["model_id"])
         return cls(
             title=row["name"],
@@ -101,7 +103,8 @@ class Scene:
             normals=arrays.read("normal", starts["normal"], stops["normal"]).astype(np.float64),
             triangles=arrays.read("triangle", *face).astype(np.int64),
             triangle_normals=arrays.read("triangle_normal", *face).astype(np.int64),
-            kinds=types[arrays.read("triangle_patch", *face)],
+            patches=patch,
+            kinds=types[patch],
             strong=strong,
             weak=weak,
             closed=bool(row["is_closed"] and row["is_watertight"]),

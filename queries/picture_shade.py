@@ -14,6 +14,7 @@ from breplake.schema.types import SURFACE_TYPES
 __all__ = ["DEFAULT_VIEW", "render"]
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 Picture = NDArray[np.float32]
 
 DEFAULT_VIEW: Final = (-52.0, 28.0)
@@ -25,8 +26,9 @@ _PALETTE: Final = np.array(
     [[int(COLOURS[t][i : i + 2], 16) / 255 for i in (1, 3, 5)] for t in SURFACE_TYPES]
 )
 # directions to the lights in the axes of the camera: right, up, to the eye
-_KEY: Final = np.array([-0.45, 0.65, 0.61])
-_FILL: Final = np.array([0.75, 0.10, 0.65])
+_KEY: Final = np.array([-0.45, 0.60, 0.66])
+_FILL: Final = np.array([0.80, 0.15, 0.58])
+_DIRECTIONS: Final = 8  # in which hollows are looked for
 
 
 def render(
@@ -52,12 +54,12 @@ def render(
     camera = Camera.fit(scene.points, view or DEFAULT_VIEW, *fine)
     points = camera.project(scene.points)
     depths = rasterise(points[scene.triangles], *fine, cull=scene.closed)
-    line = max(min(width, height) / 800, 0.55) * _SAMPLES
+    line = max(min(width, height) / 600, 0.6) * _SAMPLES
     weak = _mean(_lines(depths, points[scene.weak], 0.55 * line))
     strong = _mean(_lines(depths, points[scene.strong], line) | _outline(depths, line))
     shade = _shade(scene, camera, depths)  # (height, width, 3)
     seen = _mean(depths.triangle >= 0)
-    shade *= (1 - 0.45 * _hollows(depths, seen))[:, :, None]
+    shade *= (1 - 0.75 * _hollows(depths, seen))[:, :, None]
     picture = shade * seen[:, :, None] + (1 - seen)[:, :, None]
     for ink, strength in ((weak, 0.30), (strong, 0.95)):
         cover = strength * ink[:, :, None]
@@ -77,7 +79,7 @@ def _shade(scene: Scene, camera: Camera, depths: Depths) -> Picture:
     normals = scene.corner_normals @ camera.axes.T  # (f, 3, 3) in the axes of the camera
     height, width = (x // _SAMPLES for x in depths.triangle.shape)
     picture = np.zeros((height * width, 3), dtype=np.float32)
-    rows, columns = np.nonzero(depths.triangle >= 0)
+    rows, columns = _samples(scene, depths)
     total = np.bincount((rows // _SAMPLES) * width + columns // _SAMPLES, minlength=height * width)
     for start in range(0, len(rows), 1 << 19):
         some = slice(start, start + (1 << 19))
@@ -96,6 +98,19 @@ def _shade(scene: Scene, camera: Camera, depths: Depths) -> Picture:
     return picture.reshape(height, width, 3)
 
 
+def _samples(scene: Scene, depths: Depths) -> tuple[Ints, Ints]:
+    """Return row and column of the samples to shade: one where all of a pixel show one patch."""
+    height, width = (x // _SAMPLES for x in depths.triangle.shape)
+    patch = np.append(scene.patches, -1)[depths.triangle]  # triangle -1 is nothing
+    blocks = patch.reshape(height, _SAMPLES, width, _SAMPLES)
+    alike = blocks.min(axis=(1, 3)) == blocks.max(axis=(1, 3))
+    chosen = np.repeat(np.repeat(~alike, _SAMPLES, axis=0), _SAMPLES, axis=1)
+    middle = slice(_SAMPLES // 2, None, _SAMPLES)
+    chosen[middle, middle] |= alike
+    rows, columns = np.nonzero(chosen & (patch >= 0))
+    return rows, columns
+
+
 def _light(normal: Floats, colour: Floats) -> Floats:
     """Light surfaces of normals ``(n, 3)``, in the axes of the camera, and colours ``(n, 3)``."""
     normal = normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-12)[:, None]
@@ -103,9 +118,9 @@ def _light(normal: Floats, colour: Floats) -> Floats:
     half = _KEY + np.array([0.0, 0.0, 1.0])
     key = np.maximum(normal @ (_KEY / np.linalg.norm(_KEY)), 0)
     fill = np.maximum(normal @ (_FILL / np.linalg.norm(_FILL)), 0)
-    sky = 0.5 + 0.5 * normal[:, 1]
+    front = normal[:, 2]
     gloss = np.maximum(normal @ (half / np.linalg.norm(half)), 0) ** 60
-    light = 0.34 + 0.56 * key + 0.14 * fill + 0.10 * sky
+    light = 0.37 + 0.50 * key + 0.16 * fill + 0.16 * front
     return np.asarray(colour * light[:, None] + 0.16 * gloss[:, None])
 
 
@@ -167,31 +182,43 @@ def _jump(a: Picture, b: Picture, step: float) -> NDArray[np.bool_]:
 
 
 def _hollows(depths: Depths, seen: Picture) -> Picture:
-    """Return how much each pixel lies behind what is around it, 0 to 1.
+    """Return how deep each pixel lies in a hollow, 0 to 1: darkened, bores and steps show.
 
-    Darkening by it lets bores and steps be seen as such.
+    A pixel is hollow in a direction as far as it lies behind the middle of two places on
+    either side of it; a plane, however steep, is hollow nowhere.
     """
-    filled = np.where(np.isfinite(depths.depth), depths.depth, 0)
-    depth = _mean(filled) / np.maximum(seen, 1e-6)
-    size = float(np.hypot(*depth.shape)) * _SAMPLES
+    filled = np.where(np.isfinite(depths.depth), depths.depth, 0).astype(np.float32)
+    depth = np.where(seen > 0.99, _mean(filled), np.nan).astype(np.float32)
     total = np.zeros_like(seen)
-    for radius in (0.006, 0.02):
-        reach = max(int(radius * min(seen.shape)), 1)
-        weight = _blur(seen, reach)
-        mean = _blur(np.asarray(depth * seen, dtype=np.float32), reach) / np.maximum(weight, 1e-6)
-        total += np.clip((depth - mean) / (1.2 * radius * size), 0, 1)
-    return np.asarray(np.clip(total / 1.5, 0, 1) * (seen > 0))
+    radii = [max(share * min(seen.shape), 1.0) for share in (0.004, 0.010, 0.022)]
+    for radius in radii:
+        for angle in np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS:
+            x, y = (round(float(radius * f(angle))) for f in (np.cos, np.sin))
+            total += _between(depth, x, y, 0.7 * radius * _SAMPLES)
+    mean = (total / (len(radii) * _DIRECTIONS)).astype(np.float32)
+    return _blur(mean, max(round(radii[0] / 2), 1))
+
+
+def _between(depth: Picture, x: int, y: int, full: float) -> Picture:
+    """Return how far depths lie behind the middle of those at (x, y) and (-x, -y), in `full`."""
+    height, width = depth.shape
+    hollow = np.zeros_like(depth)
+    here = (slice(y, height - y), slice(abs(x), width - abs(x)))
+    one = depth[2 * y :, abs(x) + x : width - abs(x) + x]
+    two = depth[: height - 2 * y, abs(x) - x : width - abs(x) - x]
+    behind = (depth[here] - 0.5 * (one + two)) / np.float32(full)
+    hollow[here] = np.clip(np.nan_to_num(behind, nan=0.0), 0, 1)  # NaN: nothing there
+    return hollow
 
 
 def _blur(picture: Picture, reach: int) -> Picture:
-    """Average over squares three times, which is close to a Gaussian."""
-    for _ in range(3):
+    """Average over squares twice."""
+    for _ in range(2):
         for axis in (0, 1):
             padding = [(reach + 1, reach) if a == axis else (0, 0) for a in (0, 1)]
-            sums = np.cumsum(np.pad(picture.astype(np.float64), padding, mode="edge"), axis=axis)
+            sums = np.cumsum(np.pad(picture, padding, mode="edge"), axis=axis, dtype=np.float64)
             stop = [slice(2 * reach + 1, None) if a == axis else slice(None) for a in (0, 1)]
             start = [slice(None, -2 * reach - 1) if a == axis else slice(None) for a in (0, 1)]
-            picture = ((sums[tuple(stop)] - sums[tuple(start)]) / (2 * reach + 1)).astype(
-                np.float32
-            )
+            mean = (sums[tuple(stop)] - sums[tuple(start)]) / (2 * reach + 1)
+            picture = mean.astype(np.float32)
     return picture

@@ -80,6 +80,7 @@ MODELS = Table(
         Column("area", _F64, "area of all patches", "mm^2"),
         Column("volume", _F64, "volume of all solids; null without any", "mm^3", nullable=True),
         Column("is_valid", _BOOL, "OCCT's BRepCheck_Analyzer finds no fault"),
+        Column("n_added_pcurves", _I32, "pcurves that the file lacks and that were computed"),
         Column("is_closed", _BOOL, "has patches, and no curve is a boundary"),
         Column("is_single_primitive", _BOOL, "one box, cylinder, cone, sphere, torus or plane"),
         Column("mesh_kind", _STR, "uniform, adaptive or tessellation; null without mesh", nullable=True),
@@ -265,11 +266,11 @@ COEDGES = Table(
         _MODEL_ID,
         Column("patch_id", _I32, "the patch"),
         Column("loop", _I32, "index of the loop in the patch, 0 is the outer one"),
-        Column("order", _I32, "place in the loop"),
+        Column("place", _I32, "place in the loop"),
         Column("curve_id", _I32, "the curve"),
         Column("reversed", _BOOL, "the loop runs against the curve, patch orientation applied"),
     ),
-    key=("model_id", "patch_id", "loop", "order"),
+    key=("model_id", "patch_id", "loop", "place"),
 )
 
 CORNERS = Table(

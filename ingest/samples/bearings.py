@@ -1,11 +1,11 @@
 """Bearings: rings and rolling bodies as separate solids."""
 
-from math import atan, cos, degrees, radians, sin
+from math import atan, degrees
 from typing import Any
 
 import cadquery as cq
 
-from .outlines import bolt_circle, compound, disc, ring, rod, turned
+from .outlines import around, bolt_circle, compound, disc, ring, rod, turned, without
 from .registry import part
 
 STEEL = cq.Color(0.72, 0.74, 0.77)
@@ -68,9 +68,5 @@ def _half_shell() -> Any:
 
 @part("cage_ball", "Ball cage: a ring with ten spherical pockets")
 def _cage() -> Any:
-    body = ring(19, 15, 5, -2.5)
-    for i in range(10):
-        angle = radians(36 * i)
-        ball = cq.Workplane("XY").sphere(3.2)
-        body = body.cut(ball.translate((17 * cos(angle), 17 * sin(angle), 1)))
-    return body
+    ball = cq.Workplane("XY").sphere(3.2).translate((17, 0, 1))
+    return without(ring(19, 15, 5, -2.5), around(ball, 10))

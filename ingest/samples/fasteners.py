@@ -4,7 +4,7 @@ from typing import Any
 
 import cadquery as cq
 
-from .outlines import bolt_circle, disc, hexagon, ring, rod, turned
+from .outlines import around, disc, hexagon, joined, ring, rod, turned, without
 from .registry import part
 from .threads import hexagon_head
 
@@ -40,9 +40,8 @@ def _u_bolt() -> Any:
 @part("nut_castle", "Castle nut: chamfer cone, six slots, hyperbola edges")
 def _castle_nut() -> Any:
     body = hexagon_head(24, 14).union(disc(11, 20)).cut(disc(7, 30, -5))
-    for i in range(3):
-        slot = cq.Workplane("XY", origin=(0, 0, 17.5)).box(40, 4, 7)
-        body = body.cut(slot.rotate((0, 0, 0), (0, 0, 1), 30 + 60 * i))
+    slot = cq.Workplane("XY", origin=(10, 0, 17.5)).box(20, 4, 7)
+    body = without(body, around(slot, 6, 30))
     return body.cut(turned([(0, -1), (8.5, -1), (8.5, 0), (7, 1.5), (0, 1.5)]))
 
 
@@ -79,18 +78,18 @@ def _o_ring() -> Any:
 
 @part("washer_tooth", "Tooth lock washer with ten twisted teeth")
 def _tooth_washer() -> Any:
-    body = ring(9, 6.2, 0.8)
     tooth = cq.Workplane("XY").box(3.2, 2.4, 0.8).rotate((0, 0, 0), (1, 0, 0), 20)
-    for i in range(10):
-        body = body.union(tooth.translate((9.5, 0, 0.4)).rotate((0, 0, 0), (0, 0, 1), 36 * i))
-    return body
+    return joined(ring(9, 6.2, 0.8), around(tooth.translate((9.5, 0, 0.4)), 10))
 
 
 @part("clevis", "Clevis fork with its cross hole and a rounded end")
 def _clevis() -> Any:
     body = cq.Workplane("XY").box(24, 24, 60).translate((0, 0, 30))
-    body = body.intersect(rod((-20, 0, 48), (20, 0, 48), 12).union(
-        cq.Workplane("XY").box(30, 30, 48).translate((0, 0, 24))))
+    body = body.intersect(
+        rod((-20, 0, 48), (20, 0, 48), 12).union(
+            cq.Workplane("XY").box(30, 30, 48).translate((0, 0, 24))
+        )
+    )
     body = body.cut(cq.Workplane("XY").box(12, 30, 42).translate((0, 0, 45)))
     body = body.cut(rod((-20, 0, 48), (20, 0, 48), 6)).cut(disc(5, 20, -1))
     return body.edges("<Z").chamfer(2)

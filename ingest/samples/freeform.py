@@ -5,14 +5,14 @@ from typing import Any
 
 import cadquery as cq
 
-from .outlines import airfoil, disc, ring, rod, turned
+from .outlines import airfoil, around, disc, joined, ring, rod, turned
 from .registry import part
 
 Section = list[tuple[float, float, float]]
 
 
 def profile_wire(points: Section) -> cq.Wire:
-    """Closed wire of one spline through the points and a straight trailing edge."""
+    """Wire of one spline through the points and a straight trailing edge."""
     vectors = [cq.Vector(*p) for p in points]
     closing = cq.Edge.makeLine(vectors[-1], vectors[0])
     return cq.Wire.assembleEdges([cq.Edge.makeSpline(vectors), closing])
@@ -30,31 +30,26 @@ def lofted(sections: list[Section]) -> Any:
     return cq.Workplane(obj=cq.Solid.makeLoft([profile_wire(s) for s in sections]))
 
 
-def around(model: Any, count: int) -> list[Any]:
-    """Copies of a model evenly turned about z."""
-    return [model.rotate((0, 0, 0), (0, 0, 1), 360 * i / count) for i in range(count)]
-
-
 @part("impeller", "Centrifugal impeller with seven backward-curved twisted blades")
 def _impeller() -> Any:
     hub = cq.Workplane("XZ").moveTo(0, 0).lineTo(50, 0).lineTo(50, 3)
-    hub = hub.spline([(30, 7), (15, 18), (11, 32)], tangents=[(-1, 0.1), (0, 1)], includeCurrent=True)
+    curve = [(30, 7), (15, 18), (11, 32)]
+    hub = hub.spline(curve, tangents=[(-1, 0.1), (0, 1)], includeCurrent=True)
     hub = hub.lineTo(0, 32).close().revolve(360, (0, 0, 0), (0, 1, 0))
     low = [(10.0, -2.0), (22.0, -3.0), (34.0, -9.0), (46.0, -20.0)]
-    sections = [_blade_trace(low, 1.2, 0, 0), _blade_trace(low, 0.9, 14, 12), _blade_trace(low, 0.6, 26, 26)]
+    stations = ((1.2, 0, 0), (0.9, 14, 12), (0.6, 26, 26))
+    sections = [_blade_trace(low, half, z, twist) for half, z, twist in stations]
     blade = lofted([[(x, y, z) for x, y in trace] for trace, z in sections])
     limit = cq.Workplane("XZ").moveTo(0, 0.5).lineTo(49, 0.5).lineTo(49, 9)
     limit = limit.threePointArc((33, 15), (25, 29)).lineTo(0, 29).close()
     blade = blade.intersect(limit.revolve(360, (0, 0, 0), (0, 1, 0)))
-    for copy in around(blade, 7):
-        hub = hub.union(copy, clean=False)
-    return hub.cut(disc(5, 40, -1))
+    return joined(hub, around(blade, 7)).cut(disc(5, 40, -1))
 
 
 def _blade_trace(
     middle: list[tuple[float, float]], half: float, z: float, twist: float
 ) -> tuple[list[tuple[float, float]], float]:
-    """Closed outline of a thin blade at the height ``z``, turned about z by ``twist`` degrees."""
+    """Outline of a thin blade at the height ``z``, turned about z by ``twist`` degrees."""
     c, s = cos(radians(twist)), sin(radians(twist))
     sides = [(x, y + half) for x, y in middle] + [(x, y - half) for x, y in reversed(middle)]
     return [(c * x - s * y, s * x + c * y) for x, y in sides], z
@@ -71,9 +66,7 @@ def _propeller() -> Any:
     blade = lofted(sections)
     hub = cq.Workplane("XZ").moveTo(0, -18).lineTo(15, -18).lineTo(15, 8)
     hub = hub.radiusArc((0, 23), -15).close().revolve(360, (0, 0, 0), (0, 1, 0))
-    for copy in around(blade, 4):
-        hub = hub.union(copy, clean=False)
-    return hub.cut(disc(5, 30, -19))
+    return joined(hub, around(blade, 4)).cut(disc(5, 30, -19))
 
 
 @part("fan_axial", "Axial fan of six blades in a short shroud")
@@ -85,9 +78,7 @@ def _fan() -> Any:
     ]
     blade = lofted(sections).intersect(disc(47.5, 40, -20))
     hub = disc(16, 22, -11).faces(">Z").edges().fillet(3)
-    for copy in around(blade, 6):
-        hub = hub.union(copy, clean=False)
-    return hub.union(ring(50, 46, 24, -12)).cut(disc(4, 40, -20))
+    return joined(hub, [*around(blade, 6), ring(50, 46, 24, -12)]).cut(disc(4, 40, -20))
 
 
 @part("turbine_blade", "Turbine blade: twisted airfoil on a platform with a fir-tree root")
@@ -115,8 +106,10 @@ def _wing() -> Any:
 @part("bottle", "Bottle: a revolved spline with a hollow inside and a bead at the neck")
 def _bottle() -> Any:
     outer = [(30, 8), (32, 40), (26, 70), (31, 98), (24, 122), (12, 140)]
-    profile = cq.Workplane("XZ").moveTo(0, 4).spline(
-        [(14, 2.5), (24, 0)], tangents=[(1, 0), (1, -0.1)], includeCurrent=True
+    profile = (
+        cq.Workplane("XZ")
+        .moveTo(0, 4)
+        .spline([(14, 2.5), (24, 0)], tangents=[(1, 0), (1, -0.1)], includeCurrent=True)
     )
     profile = profile.spline(outer, includeCurrent=True).lineTo(12, 158)
     profile = profile.threePointArc((14.5, 160), (12, 162)).lineTo(12, 170).lineTo(9.6, 170)
@@ -169,8 +162,7 @@ def _hook() -> Any:
         centre = cq.Vector(26 * sin(a), 0, -26 * cos(a))
         along = cq.Vector(cos(a), 0, sin(a))
         wires.append(cq.Wire.makeCircle(size, centre, along))
-    body = cq.Workplane(obj=cq.Solid.makeLoft(list(reversed(wires))))
-    return body
+    return cq.Workplane(obj=cq.Solid.makeLoft(list(reversed(wires))))
 
 
 @part("hull_boat", "Boat hull lofted through five frames with a flat deck")

@@ -1,11 +1,11 @@
 """Gears, racks, sprockets and ratchets."""
 
-from math import cos, pi, radians, sin, tan
+from math import pi, radians, sin, tan
 from typing import Any
 
 import cadquery as cq
 
-from .outlines import bolt_circle, disc, involute_gear, polar, ring, rod, turned
+from .outlines import around, disc, involute_gear, polar, ring, rod, turned, without
 from .registry import part
 
 
@@ -18,13 +18,13 @@ def spur(module: float, teeth: int, width: float) -> Any:
 @part("gear_spur", "Spur gear of 18 involute teeth with a hub and a keyed bore")
 def _spur() -> Any:
     body = spur(3, 18, 16).union(disc(15, 28))
-    body = body.cut(disc(8, 40, -1)).cut(cq.Workplane("XY").rect(5, 20.6).extrude(40))
-    return body
+    return body.cut(disc(8, 40, -1)).cut(cq.Workplane("XY").rect(5, 20.6).extrude(40))
 
 
 @part("gear_pinion", "Pinion of 12 involute teeth on a shaft")
 def _pinion() -> Any:
-    return spur(2.5, 12, 22).union(turned([(0, -30), (7, -30), (8, -29), (8, 50), (7, 51), (0, 51)]))
+    shaft = turned([(0, -30), (7, -30), (8, -29), (8, 50), (7, 51), (0, 51)])
+    return spur(2.5, 12, 22).union(shaft)
 
 
 @part("gear_helical", "Helical gear of 14 involute teeth, helix angle 20 degrees")
@@ -73,18 +73,9 @@ def _sprocket() -> Any:
     body = turned([
         (0, -2.5), (radius, -2.5), (radius + 3.5, -1), (radius + 3.5, 1), (radius, 2.5), (0, 2.5),
     ])  # fmt: skip
-    for x, y in bolt_circle(radius, teeth):
-        body = body.cut(rod((x, y, -4), (x, y, 4), roller))
-    body = body.union(disc(16, 20, -2.5)).cut(disc(8, 50, -20))
-    return body.cut(ring(26, 19, 10, -5).intersect(_windows(4)))
-
-
-def _windows(count: int) -> Any:
-    """Rectangular sectors that turn a ring cut into separate windows."""
-    body = cq.Workplane("XY").rect(60, 8).extrude(10, both=True)
-    for i in range(1, count // 2):
-        body = body.union(body.rotate((0, 0, 0), (0, 0, 1), 360 * i / count))
-    return body
+    body = without(body, around(rod((radius, 0, -4), (radius, 0, 4), roller), teeth))
+    body = without(body, around(rod((22, 0, -4), (22, 0, 4), 4), 6))
+    return body.union(disc(16, 20, -2.5)).cut(disc(8, 50, -20))
 
 
 @part("ratchet_wheel", "Ratchet wheel of 14 undercut teeth with a square hole")
@@ -101,21 +92,14 @@ def _ratchet() -> Any:
 def _worm_wheel() -> Any:
     rim = cq.Workplane("XZ").moveTo(12, -9).lineTo(41, -9).threePointArc((36, 0), (41, 9))
     body = rim.lineTo(12, 9).close().revolve(360, (0, 0, 0), (0, 1, 0))
-    for i in range(20):
-        angle = 2 * pi * i / 20
-        slot = cq.Workplane("YZ", origin=(32, 0, 0)).transformed(rotate=(0, 0, 12)).rect(4, 30)
-        body = body.cut(slot.extrude(12).rotate((0, 0, 0), (0, 0, 1), angle * 180 / pi))
-    grooves = ring(28, 18, 5, 5).union(ring(28, 18, 5, -10))
-    return body.cut(grooves)
+    slot = cq.Workplane("YZ", origin=(32, 0, 0)).transformed(rotate=(0, 0, 12)).rect(4, 30)
+    return without(body, [*around(slot.extrude(12), 20), ring(28, 18, 5, 5), ring(28, 18, 5, -10)])
 
 
 @part("geneva_wheel", "Geneva wheel of six slots")
 def _geneva() -> Any:
     body = disc(40, 6)
-    for i in range(6):
-        angle = 60 * i
-        slot = cq.Workplane("XY", origin=(34, 0, 0)).slot2D(32, 6).extrude(6)
-        body = body.cut(slot.rotate((0, 0, 0), (0, 0, 1), angle))
-        x, y = 46.2 * cos(radians(angle + 30)), 46.2 * sin(radians(angle + 30))
-        body = body.cut(rod((x, y, -1), (x, y, 7), 19))
+    slot = cq.Workplane("XY", origin=(34, 0, 0)).slot2D(32, 6).extrude(6)
+    recess = rod((46.2, 0, -1), (46.2, 0, 7), 19)
+    body = without(body, around(slot, 6) + around(recess, 6, 30))
     return body.union(disc(9, 14)).cut(disc(5, 30, -5))

@@ -4,7 +4,7 @@ from typing import Any
 
 import cadquery as cq
 
-from .outlines import bolt_circle, disc, ring, rod, turned
+from .outlines import around, bolt_circle, disc, joined, ring, rod, turned, without
 from .registry import part
 
 
@@ -41,8 +41,12 @@ def _lid() -> Any:
 def _gearbox() -> Any:
     body = box((120, 70, 44), (0, 0, -22)).edges("|Z").fillet(12)
     body = body.cut(box((106, 56, 80), (0, 0, 3)).edges("|Z").fillet(6))
-    body = body.union(box((144, 94, 8), (0, 0, -4)).edges("|Z").fillet(16).cut(
-        box((106, 56, 20)).edges("|Z").fillet(6)))
+    body = body.union(
+        box((144, 94, 8), (0, 0, -4))
+        .edges("|Z")
+        .fillet(16)
+        .cut(box((106, 56, 20)).edges("|Z").fillet(6))
+    )
     for x, radius in ((-28, 17.0), (26, 22.0)):
         seat = rod((x, -43, 0), (x, 43, 0), radius + 7).intersect(box((144, 86, 60), (0, 0, -30)))
         body = body.union(seat.cut(box((106, 56, 80)))).cut(rod((x, -60, 0), (x, 60, 0), radius))
@@ -58,8 +62,7 @@ def _pump() -> Any:
     feet = box((20, 14, 8), (-32, 0, -20)).union(box((20, 14, 8), (32, 0, -20)))
     body = body.union(feet).union(box((84, 14, 6), (0, 0, -16)))
     body = body.cut(cq.Workplane(obj=cq.Solid.makeTorus(38, 12))).cut(disc(36, 18, -9))
-    body = body.cut(rod((38, 10, 0), (38, 73, 0), 9)).cut(disc(13, 60, 0))
-    return body
+    return body.cut(rod((38, 10, 0), (38, 73, 0), 9)).cut(disc(13, 60, 0))
 
 
 @part("pillow_block", "Pillow block bearing housing with a filleted foot")
@@ -97,21 +100,17 @@ def _sheet_bracket() -> Any:
 
 @part("heat_sink", "Heat sink of 15 fins with a milled clip slot")
 def _heat_sink() -> Any:
-    body = box((88, 60, 6), (0, 0, 3))
-    for i in range(15):
-        body = body.union(box((1.6, 60, 28), (-42 + 6 * i, 0, 19)))
+    fins = [box((1.6, 60, 28), (-42 + 6 * i, 0, 19)) for i in range(15)]
+    body = joined(box((88, 60, 6), (0, 0, 3)), fins)
     body = body.cut(box((100, 6, 22), (0, 0, 23)))
     return body.faces("<Z").workplane(origin=(0, 0, 0)).rarray(70, 44, 2, 2).hole(3.2, 5)
 
 
 @part("heat_sink_pin", "Round pin-fin heat sink: 37 conical pins on a disc")
 def _pin_sink() -> Any:
-    body = disc(32, 5)
     spots = [(0.0, 0.0), *bolt_circle(9, 6), *bolt_circle(18, 12), *bolt_circle(27, 18)]
-    for x, y in spots:
-        pin = cq.Solid.makeCone(2.4, 1.5, 19, cq.Vector(x, y, 4))
-        body = body.union(cq.Workplane(obj=pin), clean=False)
-    return body
+    pin = turned([(0, 4), (2.6, 4), (1.5, 23), (0, 23)])
+    return joined(disc(32, 5), [pin.translate((x, y, 0)) for x, y in spots])
 
 
 @part("beam_i", "Rolled I-beam with root fillets and web holes")
@@ -120,7 +119,8 @@ def _beam() -> Any:
     for z in (-35, 35):
         body = body.union(box((50, 160, 9), (0, 0, z)))
     body = body.edges("|Y").edges(cq.selectors.BoxSelector((-5, -90, -33), (5, 90, 33))).fillet(6)
-    return body.cut(cq.Workplane("YZ", origin=(-10, 0, 0)).rarray(45, 1, 3, 1).circle(14).extrude(20))
+    holes = cq.Workplane("YZ", origin=(-10, 0, 0)).rarray(45, 1, 3, 1).circle(14)
+    return body.cut(holes.extrude(20))
 
 
 @part("extrusion_t_slot", "T-slot aluminium profile")
@@ -131,9 +131,7 @@ def _t_slot() -> Any:
         .polyline([(-10, 15.5), (10, 15.5), (10, 12.5), (5, 8), (-5, 8), (-10, 12.5)])
         .close().extrude(80)
     )  # fmt: skip
-    for i in range(4):
-        body = body.cut(slot.rotate((0, 0, 0), (0, 0, 1), 90 * i))
-    return body.cut(disc(3.4, 80, -40))
+    return without(body, [*around(slot, 4), disc(3.4, 80, -40)])
 
 
 @part("manifold_block", "Hydraulic manifold with crossing bores, counterbores and drill points")
@@ -153,9 +151,7 @@ def _motor_mount() -> Any:
     body = box((86, 86, 6)).edges("|Z").fillet(10).union(ring(28, 20, 10))
     for x, y in bolt_circle(33, 4, 45):
         body = body.cut(disc(3, 20, -10).translate((x, y, 0)))
-    for i in range(4):
-        rib = box((18, 3, 6), (34, 0, 6)).rotate((0, 0, 0), (0, 0, 1), 90 * i)
-        body = body.union(rib)
+    body = joined(body, around(box((18, 3, 6), (34, 0, 6)), 4))
     return body.cut(disc(20, 30, -10))
 
 

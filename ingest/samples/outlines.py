@@ -57,6 +57,26 @@ def compound(models: Iterable[Any]) -> cq.Compound:
     return cq.Compound.makeCompound([shape for model in models for shape in model.vals()])
 
 
+def joined(body: Any, others: Iterable[Any]) -> Any:
+    """Union of a body and many others in one step: faster than one by one."""
+    return cq.Workplane(obj=body.val().fuse(*_solids(others)).clean())
+
+
+def without(body: Any, tools: Iterable[Any]) -> Any:
+    """Body less many tools in one step: faster than one by one."""
+    return cq.Workplane(obj=body.val().cut(*_solids(tools)).clean())
+
+
+def around(model: Any, count: int, first: float = 0.0) -> list[Any]:
+    """Turn copies of a model evenly about z, from the angle ``first`` in degrees."""
+    turns = [first + 360 * i / count for i in range(count)]
+    return [model.rotate((0, 0, 0), (0, 0, 1), turn) for turn in turns]
+
+
+def _solids(models: Iterable[Any]) -> list[cq.Shape]:
+    return [solid for model in models for solid in model.solids().vals()]
+
+
 def hexagon(across_flats: float) -> list[Point]:
     """Corners of a regular hexagon."""
     return bolt_circle(across_flats / sqrt(3.0), 6)
@@ -140,8 +160,10 @@ def airfoil(chord: float, thickness: float, camber: float, count: int = 12) -> l
     upper, lower = [], []
     for i in range(count + 1):
         x = 0.5 * (1 + cos(pi * i / count))
-        half = 5 * thickness * (
-            0.2969 * sqrt(x) - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1015 * x**4
+        half = (
+            5
+            * thickness
+            * (0.2969 * sqrt(x) - 0.126 * x - 0.3516 * x**2 + 0.2843 * x**3 - 0.1015 * x**4)
         )
         mean = 4 * camber * x * (1 - x)
         slope = atan2(4 * camber * (1 - 2 * x), 1)

@@ -1,11 +1,10 @@
 """Flanges, pipes and what joins them."""
 
-from math import cos, radians, sin
 from typing import Any
 
 import cadquery as cq
 
-from .outlines import bolt_circle, disc, ring, rod, turned
+from .outlines import around, bolt_circle, disc, ring, rod, turned, without
 from .registry import part
 
 
@@ -142,7 +141,4 @@ def _lens_ring() -> Any:
 def _nozzle() -> Any:
     body = turned([(0, 0), (14, 0), (14, 18), (9, 30), (0, 30)])
     body = body.cut(turned([(0, -1), (9, -1), (9, 12), (3, 22), (0, 22)]))
-    for i in range(6):
-        angle = radians(60 * i)
-        body = body.cut(rod((0, 0, 18), (12 * cos(angle), 12 * sin(angle), 32), 1.4))
-    return body
+    return without(body, around(rod((0, 0, 18), (12, 0, 32), 1.4), 6))

@@ -5,7 +5,7 @@ from typing import Any
 
 import cadquery as cq
 
-from .outlines import bolt_circle, disc, polar, ring, rod, turned
+from .outlines import around, bolt_circle, disc, joined, polar, ring, rod, turned, without
 from .registry import part
 
 
@@ -15,8 +15,7 @@ def _stepped() -> Any:
         (0, 0), (9, 0), (10, 1), (10, 30), (15, 30), (15, 75), (18, 75), (18, 83), (12.5, 83),
         (12.5, 110), (8, 110), (8, 134), (7, 135), (0, 135),
     ])  # fmt: skip
-    shoulders = [(10, 30), (15, 75), (12.5, 83), (8, 110)]
-    for radius, z in shoulders:
+    for z in (30, 75, 83, 110):
         edge = body.edges(cq.selectors.BoxSelector((-20, -20, z - 0.1), (20, 20, z + 0.1)))
         body = edge.edges(cq.selectors.RadiusNthSelector(0)).fillet(1.2)
     key = cq.Workplane("XY", origin=(0, 0, 11)).slot2D(30, 8).extrude(10)
@@ -49,9 +48,8 @@ def _grip() -> Any:
 @part("shaft_splined", "Splined shaft with six straight keys")
 def _splined() -> Any:
     body = disc(13, 60).union(disc(10, 85))
-    for i in range(6):
-        tooth = cq.Workplane("XY").rect(6, 6).extrude(60).translate((14, 0, 0))
-        body = body.union(tooth.rotate((0, 0, 0), (0, 0, 1), 60 * i))
+    tooth = cq.Workplane("XY").rect(6, 6).extrude(60).translate((14, 0, 0))
+    body = joined(body, around(tooth, 6))
     return body.intersect(turned([(0, 0), (15, 0), (16, 1), (16, 58), (12, 62), (12, 85), (0, 85)]))
 
 
@@ -79,26 +77,23 @@ def _cam_plate() -> Any:
 
 @part("camshaft", "Camshaft of four cams at 90 degrees and five bearing journals")
 def _camshaft() -> Any:
-    body = disc(9, 190)
-    for i in range(5):
-        body = body.union(disc(14, 14, 5 + 42 * i if i else 0))
-    for i in range(4):
-        lobe = cam(12, 7, 4, 14).translate((0, 0, 19.0 + 42 * i))
-        body = body.union(lobe.rotate((0, 0, 0), (0, 0, 1), 90 * i))
+    journals = [disc(14, 14, 5 + 42 * i if i else 0) for i in range(5)]
+    lobes = [
+        lobe.translate((0, 0, 19.0 + 42 * i)) for i, lobe in enumerate(around(cam(12, 7, 4, 14), 4))
+    ]
+    body = joined(disc(9, 190), journals + lobes)
     return body.faces(">Z or <Z").edges().chamfer(0.8)
 
 
 @part("crankshaft", "Crankshaft of four throws with counterweights")
 def _crankshaft() -> Any:
-    body = disc(11, 24, -24)
-    z = 0.0
-    for side in (1, -1, -1, 1):
+    pieces = []
+    for i, side in enumerate((1, -1, -1, 1)):
+        z = 48 * i
         web = cq.Workplane("XY").ellipse(22, 34).extrude(9).translate((0, 6.0 * side, z))
-        body = body.union(web).union(web.translate((0, 0, 25)))
-        body = body.union(rod((0, 20 * side, z + 8), (0, 20 * side, z + 26), 10))
-        body = body.union(disc(13, 14, z + 34))
-        z += 48
-    body = body.union(disc(11, 24, z - 14)).union(disc(28, 6, z + 10))
+        pieces += [web, web.translate((0, 0, 25)), disc(13, 14, z + 34)]
+        pieces.append(rod((0, 20 * side, z + 9), (0, 20 * side, z + 25), 10))
+    body = joined(disc(13, 24, -24), [*pieces, disc(28, 6, 192)])
     return body.faces(">Z").workplane().polarArray(21, 0, 360, 6).hole(6)
 
 
@@ -131,9 +126,7 @@ def _round_pulley() -> Any:
     rim = cq.Workplane("XZ").moveTo(36, -8).lineTo(46, -8).lineTo(46, -6)
     rim = rim.threePointArc((40, 0), (46, 6)).lineTo(46, 8).lineTo(36, 8).close()
     body = rim.revolve(360, (0, 0, 0), (0, 1, 0)).union(disc(12, 20, -10))
-    for i in range(5):
-        x, y = bolt_circle(38, 5)[i]
-        body = body.union(rod((0, 0, 0), (x, y, 0), 3.5))
+    body = joined(body, around(rod((0, 0, 0), (38, 0, 0), 3.5), 5, 36))
     return body.cut(disc(6, 40, -20))
 
 
@@ -141,18 +134,17 @@ def _round_pulley() -> Any:
 def _handwheel() -> Any:
     rim = cq.Workplane(obj=cq.Solid.makeTorus(70, 8))
     body = turned([(8, -38), (18, -38), (16, -12), (8, -12)])
-    for x, y in bolt_circle(1, 4, 30):
-        body = body.union(rod((12 * x, 12 * y, -25), (69 * x, 69 * y, 0), 4.5))
+    body = joined(body, around(rod((12, 0, -25), (69, 0, 0), 4.5), 4, 30))
     handle = turned([(0, 0), (4, 0), (4, 12), (7, 14), (8, 44), (6, 52), (0, 54)])
     x, y = polar(71, radians(250))
     handle = handle.translate((x, y, 2))
-    return body.cut(disc(8, 60, -50)).union(rim.union(handle))
+    rim = rim.union(handle, clean=False)  # merging faces would turn the torus inside out
+    return body.cut(disc(8, 60, -50)).union(rim, clean=False)
 
 
 @part("knob_star", "Star knob with seven scallops and a rounded crown")
 def _star_knob() -> Any:
     body = cq.Workplane("XZ").moveTo(0, 0).lineTo(26, 0).lineTo(26, 10)
     body = body.radiusArc((0, 20), -38.8).close().revolve(360, (0, 0, 0), (0, 1, 0))
-    for x, y in bolt_circle(31, 7, 11):
-        body = body.cut(rod((x, y, -1), (x, y, 25), 9))
+    body = without(body, around(rod((31, 0, -1), (31, 0, 25), 9), 7, 11))
     return body.union(disc(10, 16, -14)).cut(disc(4, 26, -15))

@@ -7,17 +7,21 @@ from typing import Any
 
 import cadquery as cq
 from OCP.APIHeaderSection import APIHeaderSection_MakeHeader
+from OCP.BRepBuilderAPI import BRepBuilderAPI_Transform
 from OCP.IFSelect import IFSelect_ReturnStatus
 from OCP.Interface import Interface_Static
-from OCP.Quantity import Quantity_ColorRGBA
 from OCP.STEPCAFControl import STEPCAFControl_Writer
+from OCP.STEPConstruct import STEPConstruct, STEPConstruct_Styles
 from OCP.STEPControl import STEPControl_Controller, STEPControl_StepModelType
+from OCP.StepRepr import StepRepr_NextAssemblyUsageOccurrence
+from OCP.StepVisual import StepVisual_MechanicalDesignGeometricPresentationRepresentation
 from OCP.TCollection import TCollection_ExtendedString, TCollection_HAsciiString
 from OCP.TDataStd import TDataStd_Name
 from OCP.TDF import TDF_Label
 from OCP.TDocStd import TDocStd_Document
 from OCP.TopLoc import TopLoc_Location
-from OCP.XCAFDoc import XCAFDoc_ColorType, XCAFDoc_DocumentTool
+from OCP.TopoDS import TopoDS_Shape
+from OCP.XCAFDoc import XCAFDoc_DocumentTool
 
 from .registry import Unit
 
@@ -51,9 +55,11 @@ def write_step(model: Any, path: Path, *, name: str, unit: Unit = "mm") -> None:
     document.add(model, name)
     with _settings({"write.step.unit": _UNITS[unit], "write.step.schema": "AP214IS"}):
         writer = STEPCAFControl_Writer()
-        writer.SetColorMode(True)
+        writer.SetColorMode(False)  # its order follows addresses in memory: see _paint
         writer.SetNameMode(True)
         written = writer.Transfer(document.native, STEPControl_StepModelType.STEPControl_AsIs)
+        _paint(writer, document.colours)
+        _number_instances(writer)
         _set_header(writer, name)
         status = writer.Write(str(path)) if written else None
     if status != IFSelect_ReturnStatus.IFSelect_RetDone:
@@ -66,7 +72,7 @@ class _Document:
     def __init__(self) -> None:
         self.native = TDocStd_Document(TCollection_ExtendedString("BinXCAF"))
         self._shapes: Any = XCAFDoc_DocumentTool.ShapeTool_s(self.native.Main())
-        self._colours: Any = XCAFDoc_DocumentTool.ColorTool_s(self.native.Main())
+        self.colours: list[tuple[TopoDS_Shape, cq.Color]] = []
         self._products: dict[int, TDF_Label] = {}
 
     def add(self, model: Any, name: str) -> None:
@@ -106,11 +112,11 @@ class _Document:
         known = self._products.get(id(model))
         if known is not None:
             return known
-        label: TDF_Label = self._shapes.AddShape(as_shape(model).wrapped, False)
+        shape = _unplaced(as_shape(model).wrapped)
+        label: TDF_Label = self._shapes.AddShape(shape, False)
         _set_name(label, name)
         if colour is not None:
-            rgba = Quantity_ColorRGBA(*colour.toTuple())
-            self._colours.SetColor(label, rgba, XCAFDoc_ColorType.XCAFDoc_ColorSurf)
+            self.colours.append((shape, colour))
         self._products[id(model)] = label
         return label
 
@@ -136,8 +142,42 @@ def as_shape(model: Any) -> cq.Shape:
     return found[0] if len(found) == 1 else cq.Compound.makeCompound(found)
 
 
+def _unplaced(shape: TopoDS_Shape) -> TopoDS_Shape:
+    """Move a shape's location into its geometry: a placed shape would become a nameless product."""
+    location = shape.Location()
+    if location.IsIdentity():
+        return shape
+    bare = shape.Located(TopLoc_Location())
+    return BRepBuilderAPI_Transform(bare, location.Transformation(), True).Shape()
+
+
 def _set_name(label: TDF_Label, name: str) -> None:
     TDataStd_Name.Set_s(label, TCollection_ExtendedString(name))
+
+
+def _paint(writer: STEPCAFControl_Writer, colours: list[tuple[TopoDS_Shape, cq.Color]]) -> None:
+    """Add the surface colours of products in a fixed order."""
+    session = writer.ChangeWriter().WS()
+    for shape, colour in colours:
+        styles = STEPConstruct_Styles(session)
+        rgb = STEPConstruct_Styles.EncodeColor_s(colour.wrapped.GetRGB())
+        for solid in cq.Shape.cast(shape).Solids():
+            item = STEPConstruct.FindEntity_s(styles.FinderProcess(), solid.wrapped)
+            styles.AddStyle(item, styles.MakeColorPSA(item, rgb, None, None, 0.0), None)
+        representation = StepVisual_MechanicalDesignGeometricPresentationRepresentation()
+        context = styles.FindContext(shape)
+        styles.CreateMDGPR(context, representation, writer.ChangeWriter().Model())
+
+
+def _number_instances(writer: STEPCAFControl_Writer) -> None:
+    """Count the instances of an assembly from 1: the kernel counts on from file to file."""
+    model = writer.ChangeWriter().Model()
+    count = 0
+    for i in range(1, model.NbEntities() + 1):
+        entity = model.Value(i)
+        if isinstance(entity, StepRepr_NextAssemblyUsageOccurrence):
+            count += 1
+            entity.SetId(TCollection_HAsciiString(str(count)))
 
 
 def _set_header(writer: STEPCAFControl_Writer, name: str) -> None:

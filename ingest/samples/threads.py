@@ -4,7 +4,7 @@ from typing import Any
 
 import cadquery as cq
 
-from .outlines import disc, hexagon, ring, rod, turned
+from .outlines import around, disc, hexagon, ring, rod, turned, without
 from .registry import part
 
 
@@ -52,17 +52,18 @@ def screw(outer: float, pitch: float, length: float) -> Any:
 def hexagon_head(across: float, height: float) -> Any:
     """Hexagon on z = 0 whose upper corners are cut by a cone: its edges are hyperbolas."""
     corner = across / 3**0.5
-    cone = turned([(0, 0), (corner + 2, 0), (corner + 2, height - 0.25 * (corner + 2) + 0.125 * across),
-                   (across / 2 * 0.95, height), (0, height)])  # fmt: skip
+    outer, inner = corner + 2, 0.475 * across
+    shoulder = height - 0.5 * (outer - inner)
+    cone = turned([(0, 0), (outer, 0), (outer, shoulder), (inner, height), (0, height)])
     prism = cq.Workplane("XY").polyline(hexagon(across)).close().extrude(height)
     return prism.intersect(cone)
 
 
 @part("bolt_hex_m10", "Hexagon bolt M10 with a helicoidal thread")
 def _bolt() -> Any:
-    shank = disc(5, 16, 24)
+    shank = disc(5, 25, 15)
     head = hexagon_head(16, 6.4).translate((0, 0, 40))
-    return screw(5, 1.5, 24).union(shank).union(head)
+    return screw(5, 1.5, 15).union(shank).union(head)
 
 
 @part("nut_hex_m10", "Hexagon nut M10 with a helicoidal thread inside")
@@ -94,10 +95,7 @@ def _jar_lid() -> Any:
     body = disc(34, 16).faces(">Z").edges().fillet(2.5).cut(disc(31.5, 13.5))
     thread = ridge(31.7, 4, 1.75, [(0, -0.9), (-1.5, -0.3), (-1.5, 0.3), (0, 0.9)])
     body = body.union(thread.translate((0, 0, 2.5)))
-    for i in range(30):
-        notch = rod((34.6, 0, -1), (34.6, 0, 12), 1.3).rotate((0, 0, 0), (0, 0, 1), 12 * i)
-        body = body.cut(notch)
-    return body
+    return without(body, around(rod((34.6, 0, -1), (34.6, 0, 12), 1.3), 30))
 
 
 def coil(radius: float, wire: float, pitch: float, turns: float, taper: float = 360) -> Any:
@@ -129,9 +127,7 @@ def _torsion() -> Any:
 
 @part("washer_spring", "Split spring washer with a helical rise")
 def _spring_washer() -> Any:
-    helix = cq.Wire.makeHelix(2.0, 2.0 * 0.97, 7.5)
-    section = cq.Workplane("XZ", origin=(7.5, 0, 0)).rect(4, 2)
-    return section.sweep(helix, isFrenet=True)
+    return ridge(7.5, 2.4, 0.97, [(-2, -1), (2, -1), (2, 1), (-2, 1)])
 
 
 @part("drill_twist", "Twist drill with two helical flutes and a conical point")

@@ -9,7 +9,7 @@ import numpy as np
 
 from breplake.queries.check.ids import n_vertices
 from breplake.queries.check.rules import Measure, model_rule, place
-from breplake.queries.check.view import MISSING, Floats, ModelView
+from breplake.queries.check.view import MISSING, Floats, Ints, ModelView
 from breplake.schema.curves import CurveSet
 
 __all__: list[str] = []
@@ -158,12 +158,10 @@ def corner_position(view: ModelView) -> Iterator[Measure]:
     needs=_NEEDS,
 )
 def curve_length(view: ModelView) -> Iterator[Measure]:
-    """Measure length against Gauss quadrature between the curve's mesh vertices."""
-    truth, exact = view.curve, view.floats("curves", "length")
+    """Measure length against Gauss quadrature between knots and mesh vertices."""
+    exact = view.floats("curves", "length")
     curves = CurveSet.from_curves(view.table("curves"))
-    inner = np.flatnonzero((truth.place[1:] > 0) & truth.known[1:])
-    owner = truth.owner[inner]
-    start, stop = truth.parameter[inner], truth.parameter[inner + 1]
+    owner, start, stop = _smooth_pieces(view)
     found: Floats = np.zeros(len(exact))
     for at, weight in zip(*_GAUSS, strict=True):
         t = (start + stop) / 2 + at * (stop - start) / 2
@@ -176,3 +174,19 @@ def curve_length(view: ModelView) -> Iterator[Measure]:
     yield Measure(
         np.abs(found - exact)[rows], limit, lambda i: f"curve {rows[i]} ({types[rows[i]]})"
     )
+
+
+def _smooth_pieces(view: ModelView) -> tuple[Ints, Floats, Floats]:
+    """Cut curves at their knots and mesh vertices; return curve, start and stop of the pieces."""
+    truth = view.curve
+    offsets, knots = view.lists("curves", "knots")
+    of_knot = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
+    low, high = view.floats("curves", "t_min"), view.floats("curves", "t_max")
+    inside = (knots > low[of_knot]) & (knots < high[of_knot])
+    owner = np.concatenate([truth.owner[truth.known], of_knot[inside]])
+    cuts = np.concatenate([truth.parameter[truth.known], knots[inside]])
+    order = np.lexsort((cuts, owner))
+    owner, cuts = owner[order], cuts[order]
+    meshed = np.isin(owner, truth.owner[truth.known])
+    piece = np.flatnonzero((np.diff(owner) == 0) & meshed[1:])
+    return owner[piece], cuts[piece], cuts[piece + 1]

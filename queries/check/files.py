@@ -231,23 +231,19 @@ def shards(view: LakeView) -> Iterator[Measure]:
         )
 
 
-@lake_rule("duplicates", "duplicate_group is the least model_id of the shard's equal fingerprints")
+@lake_rule("duplicates", "duplicate_group is one for models of one fingerprint, and for no other")
 def duplicates(view: LakeView) -> Iterator[Measure]:
-    """Measure each model's duplicate group."""
-    columns = ["model_id", "collection", "name", "fingerprint", "duplicate_group"]
+    """Measure each model's group; without a fingerprint, only exact copies are one group."""
+    columns = ["collection", "name", "sha256", "fingerprint", "duplicate_group"]
     rows = view.read("models", columns).to_pylist()
-    least: dict[tuple[str, str], int] = {}
+    group_of: dict[str, int] = {}
+    shape_of: dict[int, str] = {}
     for row in rows:
-        if row["fingerprint"] is not None:
-            key = (row["file_shard"], row["fingerprint"])
-            least[key] = min(row["model_id"], least.get(key, row["model_id"]))
-    for row in rows:
-        group = least.get((row["file_shard"], row["fingerprint"]), row["model_id"])
-        yield Measure.of_truth(
-            [row["duplicate_group"] == group],
-            place("{r[duplicate_group]} instead of {g}", r=row, g=group),
-            f"{row['collection']}/{row['name']}",
-        )
+        shape, group = row["fingerprint"] or row["sha256"], row["duplicate_group"]
+        right = group_of.setdefault(shape, group) == group
+        right &= shape_of.setdefault(group, shape) == shape
+        words = place("group {g} of fingerprint {s}", g=group, s=shape)
+        yield Measure.of_truth([right], words, f"{row['collection']}/{row['name']}")
 
 
 def _names(table: pa.Table) -> dict[int, str]:

@@ -10,7 +10,6 @@ import numpy as np
 from breplake.queries.check.rules import Measure, model_rule, place
 from breplake.queries.check.view import Floats, ModelView
 from breplake.schema.curves import CurveSet
-from breplake.schema.surfaces import SurfaceSet
 
 __all__: list[str] = []
 
@@ -28,7 +27,7 @@ _QUADRIC: Final = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
 def evaluable(view: ModelView) -> Iterator[Measure]:
     """Measure whether each patch and curve can be evaluated."""
     for table, known in (
-        ("patches", SurfaceSet.from_patches(view.table("patches")).known),
+        ("patches", view.surfaces.known),
         ("curves", CurveSet.from_curves(view.table("curves")).known),
     ):
         types = view.words(table, "type")

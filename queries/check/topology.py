@@ -18,20 +18,20 @@ _NEEDS = ("ids-dense", "references", "words")
 @model_rule("loops", "loops of a patch and places in a loop are numbered 0 .. n-1", needs=_NEEDS)
 def loops(view: ModelView) -> Iterator[Measure]:
     """Measure each coedge's numbers, and patches.n_loops."""
-    patch, loop, order = (view.ints("coedges", c) for c in ("patch_id", "loop", "order"))
+    patch, loop, number = (view.ints("coedges", c) for c in ("patch_id", "loop", "place"))
     new_patch = np.diff(patch, prepend=-1) != 0
     new_loop = new_patch | (np.diff(loop, prepend=-1) != 0)
-    before_loop, before = np.roll(loop, 1), np.roll(order, 1)
+    before_loop, before = np.roll(loop, 1), np.roll(number, 1)
     right_loop = np.where(new_patch, loop == 0, (loop == before_loop) | (loop == before_loop + 1))
-    right_order = np.where(new_loop, order == 0, order == before + 1)
+    right_place = np.where(new_loop, number == 0, number == before + 1)
     yield Measure.of_truth(
-        right_loop & right_order,
-        lambda i: f"coedges row {i}: patch {patch[i]}, loop {loop[i]}, order {order[i]}",
+        right_loop & right_place,
+        place("coedges row {i}: patch {0}, loop {1}, place {2}", patch, loop, number),
     )
-    number = np.bincount(patch[new_loop], minlength=view.count("patches"))
+    found = np.bincount(patch[new_loop], minlength=view.count("patches"))
     stated = view.ints("patches", "n_loops")
     yield Measure.of_truth(
-        number == stated, lambda i: f"patch {i}: {number[i]} loops, n_loops {stated[i]}"
+        found == stated, place("patch {i}: {0} loops, n_loops {1}", found, stated)
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -10,12 +11,11 @@ from numpy.typing import NDArray
 
 from breplake.schema.curves import CurveSet
 from breplake.schema.jets import LEAST_ANGLE, CurveJet, PrincipalCurvature, SurfaceJet
-from breplake.schema.surfaces import SurfaceSet
 
 if TYPE_CHECKING:
     from breplake.queries.check.view import ModelView
 
-__all__ = ["ELEMENTARY", "CurveTruth", "SurfaceTruth"]
+__all__ = ["ELEMENTARY", "CurveTruth", "Side", "SurfaceTruth", "sides"]
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -23,6 +23,9 @@ Flags = NDArray[np.bool_]
 
 ELEMENTARY: Final = ("Plane", "Cylinder", "Cone", "Sphere", "Torus")
 """Types whose normals are held to the tighter limit."""
+
+_BESIDE: Final = 1e-8
+"""Share of a patch's range of parameters that counts as just beside."""
 
 _SURE: Final = 1e3
 """A derivative this many times the length that rounding decides has surely not vanished."""
@@ -45,7 +48,7 @@ class SurfaceTruth:
     curvature : PrincipalCurvature
         Towards that normal; NaN where undefined.
     regular : numpy.ndarray
-        ``(n,)`` the normal is defined beyond doubt: no derivative is near zero.
+        ``(n,)`` normal and curvature are defined beyond doubt: no derivative is near zero.
     noise : numpy.ndarray
         ``(n,)`` rad by which the rounding of (u, v) and of a small derivative turns the normal.
     """
@@ -61,12 +64,10 @@ class SurfaceTruth:
     @classmethod
     def of(cls, view: ModelView) -> SurfaceTruth:
         """Evaluate all vertex rows of a model."""
-        patches = view.table("patches")
         patch = view.ints("vertices", "patch_id")
-        surfaces = SurfaceSet.from_patches(patches)
+        surfaces = view.surfaces
         jet = surfaces.evaluate(patch, view.floats("vertices", "u"), view.floats("vertices", "v"))
-        sign = np.where(view.flags("patches", "reversed"), -1.0, 1.0)[patch]
-        normal = sign[:, None] * jet.normal()
+        normal = _outward(view, patch, jet)
         elementary = np.isin(view.words("patches", "type"), ELEMENTARY)[patch]
         return cls(
             known=surfaces.known[patch],
@@ -77,6 +78,46 @@ class SurfaceTruth:
             regular=_regular(jet),
             noise=_noise(view, jet),
         )
+
+    def at(self, rows: Ints) -> Side:
+        """Return normals and curvatures of some rows."""
+        k = self.curvature
+        return Side(
+            self.normal[rows],
+            PrincipalCurvature(k.k_min[rows], k.k_max[rows], k.d_min[rows], k.d_max[rows]),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """Outward normals and curvatures of some vertex rows, seen from one side of their (u, v)."""
+
+    normal: Floats
+    curvature: PrincipalCurvature
+
+
+def sides(view: ModelView, rows: Ints) -> Iterator[Side]:
+    """Evaluate vertex rows a little beside their (u, v), in all eight directions.
+
+    Where a knot lets a derivative jump, both its values are right: what kernels return
+    there is that of the one or the other side.
+    """
+    patch = view.ints("vertices", "patch_id")[rows]
+    u, v = (view.floats("vertices", name)[rows] for name in "uv")
+    du, dv = (
+        _BESIDE * (view.floats("patches", f"{x}_max") - view.floats("patches", f"{x}_min"))[patch]
+        for x in "uv"
+    )
+    for one, two in ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)):
+        jet = view.surfaces.evaluate(patch, u + one * du, v + two * dv)
+        normal = _outward(view, patch, jet)
+        yield Side(normal, jet.curvature(normal))
+
+
+def _outward(view: ModelView, patch: Ints, jet: SurfaceJet) -> Floats:
+    """Return the normals of `jet` with the orientation of their patches."""
+    sign = np.where(view.flags("patches", "reversed"), -1.0, 1.0)[patch]
+    return np.asarray(sign[:, None] * jet.normal())
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,11 +168,12 @@ class CurveTruth:
 
 
 def _regular(jet: SurfaceJet) -> Flags:
-    """Return where du and dv are surely neither zero nor parallel."""
+    """Return where du and dv are surely neither zero nor parallel, or not needed (spheres)."""
     a, b = np.linalg.norm(jet.du, axis=1), np.linalg.norm(jet.dv, axis=1)
     area = np.linalg.norm(np.cross(jet.du, jet.dv), axis=1)
     sure = (a > _SURE * jet.least[:, 0]) & (b > _SURE * jet.least[:, 1])
-    return np.asarray(sure & (area > _SURE * LEAST_ANGLE * a * b))
+    sure &= area > _SURE * LEAST_ANGLE * a * b
+    return np.asarray(sure if jet.radial is None else sure | ~np.isnan(jet.radial[:, 0]))
 
 
 def _noise(view: ModelView, jet: SurfaceJet) -> Floats:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from breplake.queries.check.mesh import MeshEdges, Triangles
 from breplake.queries.check.truth import CurveTruth, SurfaceTruth
+from breplake.schema.surfaces import SurfaceSet
 from breplake.schema.tables import TABLES
 
 __all__ = ["MISSING", "ModelView"]
@@ -138,6 +139,11 @@ class ModelView:
     def mesh_edges(self) -> MeshEdges:
         """The mesh's edges."""
         return MeshEdges.of(self.triples("faces", "v0 v1 v2"), len(self.primary_points))
+
+    @cached_property
+    def surfaces(self) -> SurfaceSet:
+        """The closed forms of the patches."""
+        return SurfaceSet.from_patches(self.table("patches"))
 
     @cached_property
     def surface(self) -> SurfaceTruth:

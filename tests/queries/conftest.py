@@ -107,8 +107,9 @@ class Solid:
             {"curve_id": curve_id, "tolerance": 1e-7, "t_min": float(t[0]), "t_max": float(t[-1]),
              "start_corner": ends[0], "end_corner": ends[1], "n_patches": len(set(patches)),
              "left_patch": next((p for p, _, r in uses if not r), None),
-             "right_patch": next((p for p, _, r in uses if r), None), "sharp": row["kind"] == "sharp",
-             "vert_indices": mesh, "vert_parameters": [float(x) for x in t], **row}
+             "right_patch": next((p for p, _, r in uses if r), None),
+             "sharp": row["kind"] == "sharp", "vert_indices": mesh,
+             "vert_parameters": [float(x) for x in t], **row}
         )  # fmt: skip
         for patch, loop, against in uses:
             self.rows("coedges").append(
@@ -124,7 +125,7 @@ class Solid:
             same = [
                 d for d in coedges[:i] if (d["patch_id"], d["loop"]) == (c["patch_id"], c["loop"])
             ]
-            c["order"] = len(same)
+            c["place"] = len(same)
         self.tables["coedges"] = coedges
         patches, curves = self.rows("patches"), self.rows("curves")
         for p in patches:
@@ -136,15 +137,17 @@ class Solid:
         area = math.fsum(p["area"] for p in patches)
         if patches:
             self.rows("parts").append(
-                {"part_id": 0, "kind": "solid" if volume else "face", "volume": volume, "area": area,
-                 "is_closed": closed}
+                {"part_id": 0, "kind": "solid" if volume else "face", "volume": volume,
+                 "area": area, "is_closed": closed}
             )  # fmt: skip
         row: dict[str, Any] = {
-            "collection": "hand", "name": self.name, "format": "step", "bbox_min": vec(low),
+            "collection": "hand", "name": self.name, "format": "step", "sha256": f"{self.id:064x}",
+            "bbox_min": vec(low),
             "bbox_max": vec(high), "diagonal": float(np.linalg.norm(high - low)), "area": area,
             "volume": volume, "is_closed": closed, "duplicate_group": self.id, "shard": "s0",
             "n_parts": len(self.rows("parts")), "n_solids": int(volume is not None),
-            "n_patches": len(patches), "n_curves": len(curves), "n_corners": len(self.rows("corners")),
+            "n_patches": len(patches), "n_curves": len(curves),
+            "n_corners": len(self.rows("corners")),
             "n_sharp_curves": sum(c["sharp"] for c in curves),
         }  # fmt: skip
         for t in SURFACE_TYPES:
@@ -199,9 +202,9 @@ class Solid:
             values = [[math.nan if r[n] is None else r[n] for n in names.split()] for r in rows]
             return np.array(values).astype(kind)
 
+        primary = sorted((r for r in rows if r["is_primary"]), key=lambda r: r["vertex_id"])
         return {
-            "position": column(sorted((r for r in rows if r["is_primary"]), key=lambda r: r["vertex_id"]),
-                               "x y z", np.float32),
+            "position": column(primary, "x y z", np.float32),
             "feature": feature,
             "normal": column(rows, "nx ny nz", np.float32),
             "curvature": column(rows, "k_min k_max", np.float32),
@@ -302,7 +305,11 @@ def order_loops(solid: Solid) -> Solid:
     curves, done = solid.rows("curves"), []
     for key in sorted({(c["patch_id"], c["loop"]) for c in solid.rows("coedges")}):
         left = [c for c in solid.rows("coedges") if (c["patch_id"], c["loop"]) == key]
-        ends = {id(c): (curves[c["curve_id"]]["start_corner"], curves[c["curve_id"]]["end_corner"])[:: -1 if c["reversed"] else 1] for c in left}  # fmt: skip
+        ends = {}
+        for c in left:
+            curve = curves[c["curve_id"]]
+            both = curve["start_corner"], curve["end_corner"]
+            ends[id(c)] = both[::-1] if c["reversed"] else both
         walk = [left.pop(0)]
         while left:
             after = [c for c in left if ends[id(c)][0] == ends[id(walk[-1])][1]]
@@ -311,7 +318,7 @@ def order_loops(solid: Solid) -> Solid:
             )  # closed ones first
             left.remove(follower)
             walk.append(follower)
-        done += [c | {"order": i} for i, c in enumerate(walk)]
+        done += [c | {"place": i} for i, c in enumerate(walk)]
     solid.tables["coedges"] = done
     return solid
 
@@ -377,7 +384,8 @@ def cone() -> Solid:
     k = math.tan(angle) ** 2  # x^2 + y^2 = (r + z tan a)^2
     row = {"type": "Cone", "radius": r, "angle": angle, "apex": vec([0, 0, h]),
            "location": vec([0, 0, 0]), "x_axis": vec([1, 0, 0]), "y_axis": vec([0, 1, 0]),
-           "z_axis": vec([0, 0, 1]), "area": math.pi * r * slant, "u_closed": True, "u_periodic": True,
+           "z_axis": vec([0, 0, 1]), "area": math.pi * r * slant, "u_closed": True,
+           "u_periodic": True,
            "coefficients": [1.0, 1.0, -k, 0, 0, 0, 0, 0, -r * math.tan(angle), -r * r]}  # fmt: skip
     uv = [(TAU * i / n, slant * j / m) for i in range(n) for j in range(m)]
     triangles = grid(n, m, wrap_n=True)
@@ -439,10 +447,10 @@ def saddle() -> Solid:
 
     poles = [[vec([u, v, u * v / 4]) for v in (-1, 1)] for u in (-1, 1)]
     nodes, weights = np.polynomial.legendre.leggauss(20)
-    area = sum(p * q * math.sqrt(1 + (u * u + v * v) / 16) for u, p in zip(nodes, weights, strict=True)
-               for v, q in zip(nodes, weights, strict=True))  # fmt: skip
-    row = {"type": "BSpline", "u_degree": 1, "v_degree": 1, "u_rational": False, "v_rational": False,
-           "continuity": 99, "poles": poles, "u_knots": [-1.0, -1, 1, 1],
+    u, v = np.meshgrid(nodes, nodes)
+    area = weights @ np.sqrt(1 + (u * u + v * v) / 16) @ weights
+    row = {"type": "BSpline", "u_degree": 1, "v_degree": 1, "u_rational": False,
+           "v_rational": False, "continuity": 99, "poles": poles, "u_knots": [-1.0, -1, 1, 1],
            "v_knots": [-1.0, -1, 1, 1], "area": float(area)}  # fmt: skip
     ticks = np.linspace(-1, 1, n)
     solid.patch(row, [(u, v) for u in ticks for v in ticks], truth, grid(n, n))
@@ -461,8 +469,10 @@ def wires() -> Solid:
     frame = {"location": vec([1, 2, 3]), "x_axis": vec(x), "y_axis": vec(y), "z_axis": vec(z)}
     frame |= {"kind": "free", "vert_indices": None, "vert_parameters": None, "length": 1.0}
     conics = {
-        "Ellipse": {"x_radius": 5.0, "y_radius": 4.0, "focus1": vec([4, 2, 3]), "focus2": vec([-2, 2, 3])},
-        "Hyperbola": {"x_radius": 3.0, "y_radius": 4.0, "focus1": vec([6, 2, 3]), "focus2": vec([-4, 2, 3])},
+        "Ellipse": {"x_radius": 5.0, "y_radius": 4.0,
+                    "focus1": vec([4, 2, 3]), "focus2": vec([-2, 2, 3])},
+        "Hyperbola": {"x_radius": 3.0, "y_radius": 4.0,
+                      "focus1": vec([6, 2, 3]), "focus2": vec([-4, 2, 3])},
         "Parabola": {"focal": 2.0, "focus1": vec([3, 2, 3])},
     }  # fmt: skip
     for name, row in conics.items():
@@ -498,7 +508,7 @@ def write_solids(path: Path, solids: list[Solid], spoil: dict[str, Spoil] | None
                 first = writer.append(arrays)
                 solid.rows("models")[0] |= {"vertex_offset": first.vertex,
                     "normal_offset": first.normal, "face_offset": first.face}  # fmt: skip
-    for name, table in TABLES.items():
+    for name in TABLES:
         rows = pa.concat_tables([solid.table(name) for solid in solids])
         rows = (spoil or {}).get(name, lambda t: t)(rows)
         pq.write_table(rows, store.table_path(name, shard), row_group_size=64)

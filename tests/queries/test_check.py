@@ -192,8 +192,11 @@ def test_shards(write_hand_lake: WriteLake) -> None:
     assert broken(path) == {"shards"}
 
 
-def test_duplicates(write_hand_lake: WriteLake) -> None:
-    path = write_hand_lake(models=lambda t: set_column(t, "fingerprint", ["same"] * 6))
+@pytest.mark.parametrize(
+    ("column", "values"), [("fingerprint", ["same"] * 6), ("duplicate_group", [7] * 6)]
+)
+def test_duplicates(write_hand_lake: WriteLake, column: str, values: list[Any]) -> None:
+    path = write_hand_lake(models=lambda t: set_column(t, column, values))
     assert broken(path) == {"duplicates"}
 
 
@@ -214,8 +217,8 @@ def test_a_choice_of_models(write_hand_lake: WriteLake) -> None:
     """Only the models asked for are measured, and a fault elsewhere is not seen."""
 
     def spoil(table: pa.Table) -> pa.Table:
-        faulty = [not (m == BOX) and r for m, r in zip(table["model_id"].to_pylist(), table["reversed"].to_pylist(), strict=True)]  # fmt: skip
-        return set_column(table, "reversed", faulty)
+        faulty = pc.and_(pc.not_equal(table["model_id"], BOX), table["reversed"])
+        return set_column(table, "reversed", faulty.to_pylist())
 
     path = write_hand_lake(patches=spoil)
     assert {r.name for r in check(path, models=[BOX]).broken} == {"normal"}
@@ -234,7 +237,7 @@ def test_progress(hand_lake: Path) -> None:
 
 def test_report_as_json_and_text(write_hand_lake: WriteLake) -> None:
     def bend(table: pa.Table) -> pa.Table:
-        return set_column(table, "residual", [1.0] + table["residual"].to_pylist()[1:])
+        return set_column(table, "residual", [1.0, *table["residual"].to_pylist()[1:]])
 
     report = check(write_hand_lake(vertices=bend))
     document = json.loads(report.to_json())

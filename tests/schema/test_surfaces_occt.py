@@ -67,36 +67,34 @@ def random_knots(rng, degree, periodic):
         if count <= degree:  # OCCT's own KnotSequence then reads beyond its knots
             return random_knots(rng, degree, periodic)
         return knots, mults, int(count)
-    ends = [degree + 1, int(rng.integers(1, degree + 2))]
-    mults[0], mults[-1] = ends[0], ends[1]
+    mults[0], mults[-1] = degree + 1, rng.integers(1, degree + 2)
     count = mults.sum() - degree - 1
     if count < degree + 1:
         return random_knots(rng, degree, periodic)
     return knots, mults, int(count)
 
 
-def reals(occ, values):
-    array = occ.TColStd_Array1OfReal(1, len(values))
+def filled(array, values):
     for i, value in enumerate(values):
-        array.SetValue(i + 1, float(value))
+        array.SetValue(i + 1, value)
     return array
+
+
+def reals(occ, values):
+    return filled(occ.TColStd_Array1OfReal(1, len(values)), map(float, values))
 
 
 def integers(occ, values):
-    array = occ.TColStd_Array1OfInteger(1, len(values))
-    for i, value in enumerate(values):
-        array.SetValue(i + 1, int(value))
-    return array
+    return filled(occ.TColStd_Array1OfInteger(1, len(values)), map(int, values))
 
 
-def random_spline_curve(occ, rng, flat=False):
+def random_spline_curve(occ, rng):
     degree, periodic, rational = int(rng.integers(1, 9)), rng.random() < 0.4, rng.random() < 0.5
     knots, mults, count = random_knots(rng, degree, periodic)
     poles = occ.TColgp_Array1OfPnt(1, count)
     centre = rng.uniform(-100, 100, 3)
     for i in range(count):
-        p = centre + rng.normal(size=3) * 10
-        poles.SetValue(i + 1, point(occ, p * [1, 0, 1] + [20, 0, 0] if flat else p))
+        poles.SetValue(i + 1, point(occ, centre + rng.normal(size=3) * 10))
     weights = reals(occ, rng.uniform(0.3, 3, count) if rational else np.ones(count))
     return occ.Geom_BSplineCurve(
         poles, weights, reals(occ, knots), integers(occ, mults), degree, periodic, True
@@ -118,17 +116,9 @@ def curve_row(curve):
         }
     if name == "Line":
         line = curve.Lin()
-        return {
-            "type": "Line",
-            "location": xyz(line.Location()),
-            "direction": xyz(line.Direction()),
-        }
-    ax = curve.Position()
-    row = {
-        "location": xyz(ax.Location()),
-        "x_axis": xyz(ax.XDirection()),
-        "y_axis": xyz(ax.YDirection()),
-    }
+        place = {"location": xyz(line.Location()), "direction": xyz(line.Direction())}
+        return {"type": "Line", **place}
+    row = frame(curve.Position())
     if name == "Circle":
         return {"type": name, "radius": curve.Radius(), **row}
     if name == "Parabola":
@@ -172,9 +162,8 @@ def random_spline_surface(occ, rng, rational):
             p = centre + np.array([5.0 * i, 5.0 * j, 0.0]) + rng.normal(size=3)
             poles.SetValue(i + 1, j + 1, point(occ, p))
             weights.SetValue(i + 1, j + 1, float(rng.uniform(0.3, 3)) if rational else 1.0)
-    knots = [reals(occ, k) for k in (uk, vk)]
-    mults = [integers(occ, m) for m in (um, vm)]
-    return occ.Geom_BSplineSurface(poles, weights, *knots, *mults, *degrees, *periodic)
+    knots = reals(occ, uk), reals(occ, vk), integers(occ, um), integers(occ, vm)
+    return occ.Geom_BSplineSurface(poles, weights, *knots, *degrees, *periodic)
 
 
 def surface_row(surface, name):
@@ -197,18 +186,11 @@ def surface_row(surface, name):
         }
     if name == "Revolution":
         axis = surface.Axis()
-        return {
-            "type": name,
-            "location": xyz(axis.Location()),
-            "z_axis": xyz(axis.Direction()),
-            "curve": curve_row(surface.BasisCurve()),
-        }
+        place = {"location": xyz(axis.Location()), "z_axis": xyz(axis.Direction())}
+        return {"type": name, "curve": curve_row(surface.BasisCurve()), **place}
     if name == "Extrusion":
-        return {
-            "type": name,
-            "direction": xyz(surface.Direction()),
-            "curve": curve_row(surface.BasisCurve()),
-        }
+        along = xyz(surface.Direction())
+        return {"type": name, "curve": curve_row(surface.BasisCurve()), "direction": along}
     row = {"type": name, **frame(surface.Position())}
     if name in {"Cylinder", "Sphere"}:
         row["radius"] = surface.Radius()
@@ -325,7 +307,7 @@ def test_parameters_outside_the_knots(occ, seed):
 
 
 def check_surface(occ, surface, name, rng, tolerance=1e-11):
-    if name == "Torus" or name == "Revolution":
+    if name in {"Torus", "Revolution"}:
         us, vs = rng.uniform(0, 2 * np.pi, POINTS), rng.uniform(0.1, 1.1, POINTS)
     elif name == "BSpline":
         u0, u1, v0, v1 = surface.Bounds()
@@ -366,23 +348,17 @@ def test_surface(occ, name, seed):
     check_surface(occ, random_surface(occ, rng, name), name, rng)
 
 
+@pytest.mark.parametrize("name", ["Revolution", "Extrusion"])
 @pytest.mark.parametrize("basis", CURVE_NAMES)
 @pytest.mark.parametrize("seed", range(4))
-def test_revolution(occ, basis, seed):
+def test_swept_surface(occ, name, basis, seed):
     rng = np.random.default_rng([seed, 40 + CURVE_NAMES.index(basis)])
-    ax = random_axes(occ, rng)
-    curve = random_curve(occ, rng, basis)
-    surface = occ.Geom_SurfaceOfRevolution(curve, ax.Axis())
-    check_surface(occ, surface, "Revolution", rng)
-
-
-@pytest.mark.parametrize("basis", CURVE_NAMES)
-@pytest.mark.parametrize("seed", range(4))
-def test_extrusion(occ, basis, seed):
-    rng = np.random.default_rng([seed, 50 + CURVE_NAMES.index(basis)])
-    curve = random_curve(occ, rng, basis)
-    surface = occ.Geom_SurfaceOfLinearExtrusion(curve, occ.gp_Dir(*rng.normal(size=3)))
-    check_surface(occ, surface, "Extrusion", rng)
+    axis, curve = random_axes(occ, rng).Axis(), random_curve(occ, rng, basis)
+    if name == "Revolution":
+        surface = occ.Geom_SurfaceOfRevolution(curve, axis)
+    else:
+        surface = occ.Geom_SurfaceOfLinearExtrusion(curve, axis.Direction())
+    check_surface(occ, surface, name, rng)
 
 
 def test_spline_made_periodic_by_occt(occ):

@@ -1,0 +1,1 @@
+"""How fast breplake is, as ratios."""
