@@ -6,23 +6,25 @@ are batched by entity: one Python call evaluates a whole patch.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+import pyarrow as pa
 
 from breplake.errors import InputError
 from breplake.ingest.brep import Brep
 from breplake.ingest.clock import KERNEL
 from breplake.ingest.failure import advise
+from breplake.schema.curves import CurveSet
 from breplake.schema.jets import SurfaceJet
 from breplake.schema.surfaces import SurfaceSet
 from breplake.schema.tables import PATCHES
 
-__all__ = ["GmshModel", "gmsh_session", "groups"]
+__all__ = ["ClosedForm", "GmshModel", "gmsh_session", "groups"]
 
 _Floats = npt.NDArray[np.float64]
 _Ints = npt.NDArray[np.int64]
@@ -91,15 +93,18 @@ class GmshModel:
         self.gmsh = gmsh
         self.brep = brep
         path = folder / "model.brep"
+        complaint = ""
         try:
             with KERNEL():
                 BRepTools.Write_s(brep.canonical.compound, str(path))
                 gmsh.model.occ.importShapes(str(path), highestDimOnly=False, format="brep")
                 gmsh.model.occ.synchronize()
         except Exception as error:  # gmsh raises plain Exception for everything
-            raise InputError("count-mismatch", advise("count-mismatch", str(error))) from error
+            # It complains of faulty wires too and imports them all the same.
+            complaint = f" ({error})"
         finally:
             path.unlink(missing_ok=True)
+        self.complaint = complaint
         self._set_undefined(PATCHES.from_rows({"model_id": 0, **row} for row in brep.patches))
         internal = brep.internal_curves
         self.curve_ids = [i for i in range(len(brep.edges)) if i not in internal]
@@ -172,7 +177,7 @@ class GmshModel:
             raise self._mismatch(f"{what} {index} lies {distance:.3g} mm off")
 
     def _mismatch(self, detail: str) -> InputError:
-        return InputError("count-mismatch", advise("count-mismatch", detail))
+        return InputError("count-mismatch", advise("count-mismatch", detail + self.complaint))
 
     def curve_points(self, curve_id: int, t: _Floats) -> _Floats:
         """Return points ``(n, 3)`` mm of a curve at parameters ``(n,)``."""
@@ -233,6 +238,43 @@ class GmshModel:
                 values = self.gmsh.model.getValue(2, patch_id + 1, uv)
             point[rows] = np.reshape(values, (-1, 3))
         return point
+
+
+class ClosedForm:
+    """A B-Rep evaluated by our own closed forms, where Gmsh refuses the model.
+
+    Parameters
+    ----------
+    brep : Brep
+        The exact model.
+    tables : mapping
+        Its tables ``patches`` and ``curves``.
+
+    Raises
+    ------
+    InputError
+        ``truth-failed`` if a patch or curve has no closed form.
+    """
+
+    def __init__(self, brep: Brep, tables: Mapping[str, pa.Table]) -> None:
+        self.brep = brep
+        self.surfaces = SurfaceSet.from_patches(tables["patches"])
+        self.curves = CurveSet.from_curves(tables["curves"])
+        bounding = np.array([row["kind"] not in ("degenerate", "free") for row in brep.curves])
+        if not (self.surfaces.known.all() and self.curves.known[bounding].all()):
+            raise InputError("truth-failed", advise("truth-failed", "not all geometry has a closed form"))
+
+    def jet(self, patch_ids: _Ints, u: _Floats, v: _Floats) -> SurfaceJet:
+        """Evaluate surfaces, as `GmshModel.jet` does."""
+        return self.surfaces.evaluate(patch_ids, u, v)
+
+    def points(self, patch_ids: _Ints, u: _Floats, v: _Floats) -> _Floats:
+        """Return points ``(n, 3)`` mm of surfaces at parameters ``(n,)``."""
+        return np.ascontiguousarray(self.surfaces.evaluate(patch_ids, u, v).point)
+
+    def curve_points(self, curve_id: int, t: _Floats) -> _Floats:
+        """Return points ``(n, 3)`` mm of a curve at parameters ``(n,)``."""
+        return np.ascontiguousarray(self.curves.evaluate(np.full(len(t), curve_id), t).point)
 
 
 def groups(keys: _Ints | Sequence[int]) -> Iterator[tuple[int, _Ints]]:

@@ -140,17 +140,18 @@ def _take(future: Any, result: Result, settings: Settings) -> int | None:
     from pebble import ProcessExpired
 
     stage, detail = result.spool.stage
+    where = f"{stage} {detail}".strip()
     killed: Failure
     try:
         result.failures += future.result()
         return None
     except concurrent.futures.TimeoutError:
-        message = advise("timeout", f"{stage} {detail} ran into the limit of {settings.timeout:g} s")
+        message = advise("timeout", f"{where} ran into the limit of {settings.timeout:g} s")
         killed = Failure(stage, "timeout", message, fatal=False, seconds=settings.timeout)
     except ProcessExpired as error:
-        killed = _crash(stage, detail, error.exitcode)
+        killed = _crash(stage, where, error.exitcode)
     except MemoryError:
-        message = advise("memory", f"{stage} {detail} passed {settings.memory:g} GiB")
+        message = advise("memory", f"{where} passed {settings.memory:g} GiB")
         killed = Failure(stage, "memory", message, fatal=False)
     ladder = RUNGS[settings.mesh]
     if stage in ("mesh", "truth") and detail in ladder[:-1]:
@@ -160,12 +161,12 @@ def _take(future: Any, result: Result, settings: Settings) -> int | None:
     return None
 
 
-def _crash(stage: str, detail: str, exitcode: int) -> Failure:
+def _crash(stage: str, where: str, exitcode: int) -> Failure:
     if exitcode < 0:
         name = signal.Signals(-exitcode).name
-        message = advise("killed-signal", f"{stage} {detail} ended with {name}")
+        message = advise("killed-signal", f"{where} ended with {name}")
         return Failure(stage, "killed-signal", message, fatal=False, signal=-exitcode)
-    message = advise("worker-died", f"{stage} {detail} ended with exit code {exitcode}")
+    message = advise("worker-died", f"{where} ended with exit code {exitcode}")
     return Failure(stage, "worker-died", message, fatal=False)
 
 

@@ -51,7 +51,7 @@ class Settings:
     max_edge: float = 0.01
     grading: float = 0.05
     per_turn: int = 16
-    max_triangles: int = 2_000_000
+    max_triangles: int = 1_000_000
     timeout: float = 120.0
     memory: float = 8.0
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from breplake.ingest.brep import Brep
 from breplake.ingest.clock import KERNEL
-from breplake.ingest.kernel import GmshModel
+from breplake.ingest.kernel import ClosedForm, GmshModel
 from breplake.ingest.mesh import CurveNodes, Mesh
 
 __all__ = ["tessellate"]
@@ -19,13 +19,17 @@ _Floats = npt.NDArray[np.float64]
 _Ints = npt.NDArray[np.int64]
 
 
-def tessellate(model: GmshModel, limit: float) -> Mesh:
+_ANGLE: Final = math.radians(30)
+"""Turn of the surface within a triangle. Less makes slivers on fillets, which stay."""
+
+
+def tessellate(model: GmshModel | ClosedForm, limit: float) -> Mesh:
     """Mesh a model with ``BRepMesh_IncrementalMesh``, vertices moved onto the geometry.
 
     Parameters
     ----------
-    model : GmshModel
-        The imported model, which evaluates the geometry.
+    model : GmshModel or ClosedForm
+        The model, which evaluates the geometry.
     limit : float
         Edge length aimed at, mm; edges longer than that are left to ``ingest.refine``.
 
@@ -41,7 +45,7 @@ def tessellate(model: GmshModel, limit: float) -> Mesh:
     BRepTools.Clean_s(brep.canonical.compound)
     with KERNEL():
         BRepMesh_IncrementalMesh(
-            brep.canonical.compound, limit / 4, False, math.radians(20), False
+            brep.canonical.compound, limit / 2, False, _ANGLE, False
         )
     return _Tessellation(model).mesh()
 
@@ -49,7 +53,7 @@ def tessellate(model: GmshModel, limit: float) -> Mesh:
 class _Tessellation:
     """Joins the faces' triangulations, which share nothing but their edges' polygons."""
 
-    def __init__(self, model: GmshModel) -> None:
+    def __init__(self, model: GmshModel | ClosedForm) -> None:
         self.model, self.brep = model, model.brep
         self.points: list[_Floats] = []
         self.count = 0

@@ -20,7 +20,7 @@ from breplake.ingest.failure import Failure, advise
 from breplake.ingest.geometry import Row
 from breplake.ingest.heal import add_missing_pcurves
 from breplake.ingest.inputs import Input
-from breplake.ingest.kernel import GmshModel, gmsh_session
+from breplake.ingest.kernel import ClosedForm, GmshModel, gmsh_session
 from breplake.ingest.load import Document, load
 from breplake.ingest.measures import duplicate_group
 from breplake.ingest.mesh import Mesh
@@ -39,6 +39,9 @@ MAX_UNPACKED: Final = 4 * 2**30
 
 _HONOURED: Final = 1.05
 """A mesh whose longest edge is within this factor of the limit honours it."""
+
+_HOPELESS: Final = 10.0
+"""A mesh with edges longer than this many limits does not follow the geometry at all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +115,9 @@ class _Model:
         with self.clock.stage("brep"):
             brep = self._brep(document)
         self._write()
-        if not brep.patches:
-            raise InputError("no-patches", advise("no-patches", ""))
+        with self.clock.stage("mesh"):
+            if not brep.patches:
+                raise InputError("no-patches", advise("no-patches", ""))
         with gmsh_session() as gmsh:
             self._add_mesh(gmsh, brep)
 
@@ -165,16 +169,25 @@ class _Model:
         self.spool.write_model(self.row | self.clock.columns())
 
     def _add_mesh(self, gmsh: Any, brep: Brep) -> None:
-        with self.clock.stage("import"):
-            model = GmshModel(gmsh, brep, self.spool.folder)
-        limit, notes = self._limit()
+        """Climb down the ladder of meshes until one succeeds."""
         ladder = RUNGS[self.settings.mesh]
-        for rung in ladder[self.task.rung :]:
+        rungs = ladder[self.task.rung :]
+        model: GmshModel | ClosedForm
+        try:
+            with self.clock.stage("import"):
+                model = GmshModel(gmsh, brep, self.spool.folder)
+        except InputError as error:
+            self.failures.append(_failure(self.clock, error.kind, str(error), False))
+            with self.clock.stage("import"):
+                model = ClosedForm(brep, self.tables)
+            rungs = ladder[-1:]
+        limit, notes = self._limit()
+        for rung in rungs:
             try:
                 with self.clock.stage("mesh", rung):
                     mesh = self._mesh(model, rung, limit)
                 with self.clock.stage("truth", rung):
-                    self._truth(model, mesh)
+                    self._truth(model, mesh, limit)
             except InputError as error:
                 self.failures.append(_failure(self.clock, error.kind, str(error), False))
                 gmsh.model.mesh.clear()
@@ -198,20 +211,24 @@ class _Model:
             return wanted, []
         return least, [f"limit raised from {wanted:.4g} mm to keep to {self.settings.max_triangles} triangles"]
 
-    def _mesh(self, model: GmshModel, rung: str, limit: float) -> Mesh:
-        if rung == "tessellation":
-            mesh = tessellate(model, limit)
-        else:
+    def _mesh(self, model: GmshModel | ClosedForm, rung: str, limit: float) -> Mesh:
+        if isinstance(model, GmshModel) and rung != "tessellation":
             mesh = gmsh_mesh(model, limit, self.settings, rung)
+        else:
+            mesh = tessellate(model, limit)
         self.periods = _periods(model.brep)
         return refine(mesh, model, self.periods, limit, 2 * self.settings.max_triangles)
 
-    def _truth(self, model: GmshModel, mesh: Mesh) -> None:
+    def _truth(self, model: GmshModel | ClosedForm, mesh: Mesh, limit: float) -> None:
         flipped = np.array([row["reversed"] for row in model.brep.patches], dtype=bool)
         mesh, truth = derive(mesh, model, self.periods, flipped, self.row["diagonal"])
         mesh, _ = wind(mesh, truth)
+        columns = mesh_columns(mesh)
+        if columns["max_edge"] > _HOPELESS * limit:
+            detail = f"curves and surfaces lie up to {truth.residual.max():.3g} mm apart"
+            raise InputError("mesh-failed", advise("mesh-failed", detail))
         self.tables |= mesh_tables(self.id, model.brep, self.tables, mesh, truth)
-        self.row |= mesh_columns(mesh)
+        self.row |= columns
 
 
 class _Limited:

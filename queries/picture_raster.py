@@ -22,7 +22,8 @@ Ints = NDArray[np.int64]
 _NOTHING: Final = np.uint64(2**64 - 1)
 _STEPS: Final = 2.0**31  # depth is kept in so many steps
 _HALVES: Final = (0, 1) if sys.byteorder == "little" else (1, 0)
-_LARGE: Final = 128  # pixels; triangles larger than this are drawn one by one
+_TILES: Final = (4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)  # sides of tiles, pixels
+_LARGE: Final = _TILES[-1]  # triangles larger than this are drawn one by one
 _FRAGMENTS: Final = 1 << 20  # pixels that are tested at once
 
 
@@ -157,15 +158,13 @@ def _boxes(corners: Floats, width: int, height: int) -> Ints:
 
 def _batches(triangles: Ints, size: Ints) -> Iterator[tuple[Ints, int]]:
     """Yield triangles of like size, as many as can be tested at once, and the side of a tile."""
-    side = 4
-    while side <= _LARGE:
-        fits = triangles[
-            (size[triangles] <= side) & (size[triangles] > (side // 2 if side > 4 else 0))
-        ]
+    least = 0
+    for side in _TILES:
+        fits = triangles[(size[triangles] > least) & (size[triangles] <= side)]
         step = max(_FRAGMENTS // side**2, 1)
         for start in range(0, len(fits), step):
             yield fits[start : start + step], side
-        side *= 2
+        least = side
 
 
 def _draw_small(
@@ -178,21 +177,21 @@ def _draw_small(
     side: int,
 ) -> None:
     """Test a tile of side x side pixels at the corner of each triangle's box."""
-    dx = np.arange(side)
-    x = box[some, 0][:, None] + dx  # (k, side)
-    y = box[some, 1][:, None] + dx
-    inside = (y < box[some, 3][:, None])[:, :, None] & (x < box[some, 2][:, None])[:, None, :]
+    x0, y0, x1, y1 = box[some].T
+    step = np.arange(side, dtype=np.float32)
+    inside = (step < (y1 - y0)[:, None])[:, :, None] & (step < (x1 - x0)[:, None])[:, None, :]
     for corner in range(3):
         a, b, c = planes[some, corner].T
-        weight = (b[:, None] * (y + 0.5) + c[:, None])[:, :, None] + (a[:, None] * (x + 0.5))[
-            :, None
-        ]
-        inside &= weight >= -1e-9
+        # from the tile's own corner the numbers are small, and single precision will do
+        first = (a * (x0 + 0.5) + b * (y0 + 0.5) + c).astype(np.float32)
+        across = a.astype(np.float32)[:, None] * step  # (k, side)
+        down = b.astype(np.float32)[:, None] * step + first[:, None]
+        inside &= down[:, :, None] >= -1e-5 - across[:, None, :]
     which, row, column = np.nonzero(inside)
-    px, py = x[which, column], y[which, row]
+    x, y = x0[which] + column, y0[which] + row
     z = depth[some]
-    value = z[which, 0] * (px + 0.5) + z[which, 1] * (py + 0.5) + z[which, 2]
-    np.minimum.at(buffer, py * width + px, _codes(value, some[which]))
+    value = z[which, 0] * (x + 0.5) + z[which, 1] * (y + 0.5) + z[which, 2]
+    np.minimum.at(buffer, y * width + x, _codes(value, some[which]))
 
 
 def _draw_large(

@@ -134,6 +134,20 @@ def _coupling() -> Any:
     return coupling.add(spider, name="spider", loc=at(0, 0, 0, (0, 0, 1), 30), color=RED)
 
 
+@part("block_machined", "Machined block whose seats and datum faces have names and colours")
+def _machined() -> Any:
+    body = box((60, 40, 24)).edges("|Z").fillet(4).cut(disc(11, 40, -20)).cut(disc(16, 8, 6))
+    body = body.cut(rod((20, -30, 2), (20, 30, 2), 3)).cut(rod((-20, -30, 2), (-20, 30, 2), 3))
+    bore = body.faces(cq.selectors.NearestToPointSelector((11, 0, -5))).val()
+    faces = [
+        (body.faces("<Z").val(), "datum_a", BLUE),
+        (body.faces(">Z").val(), "top", GREEN),
+        (bore, "bearing_seat", RED),
+    ]
+    block = cq.Assembly(name="block_machined")
+    return block.add(body, name="block", color=STEEL, metadata={"faces": faces})
+
+
 @part("shelf_brackets", "A bracket and its mirror image, joined by two shelf rods")
 def _mirrored() -> Any:
     outline = [(0, 0), (60, 0), (60, 6), (14, 12), (6, 50), (0, 50)]

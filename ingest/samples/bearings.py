@@ -5,7 +5,7 @@ from typing import Any
 
 import cadquery as cq
 
-from .outlines import around, bolt_circle, compound, disc, ring, rod, turned, without
+from .outlines import bolt_circle, compound, disc, ring, rod, turned
 from .registry import part
 
 STEEL = cq.Color(0.72, 0.74, 0.77)
@@ -25,14 +25,6 @@ def _ball_bearing() -> Any:
     for i, (x, y) in enumerate(bolt_circle(17, 9)):
         assembly.add(ball, name=f"ball.{i + 1}", loc=cq.Location((x, y, 0)), color=DARK)
     return assembly
-
-
-@part("bearing_needle", "Needle bearing: a drawn cup and 14 needles as one compound")
-def _needle_bearing() -> Any:
-    cup = turned([(13, 0), (18, 0), (18, 20), (13, 20), (13, 18.8), (16.4, 18.8), (16.4, 1.2),
-                  (13, 1.2)])  # fmt: skip
-    needles = [disc(1.5, 16, 2).translate((x, y, 0)) for x, y in bolt_circle(14.6, 14)]
-    return compound([cup, *needles])
 
 
 @part("bearing_taper", "Tapered roller bearing: cup, cone and twelve conical rollers")
@@ -64,9 +56,3 @@ def _half_shell() -> Any:
     body = body.union(ring(26, 23, 2, 9))
     body = body.intersect(cq.Workplane("XY").box(60, 30, 60).translate((0, 15, 0)))
     return body.cut(rod((0, 15, 0), (0, 30, 0), 2))
-
-
-@part("cage_ball", "Ball cage: a ring with ten spherical pockets")
-def _cage() -> Any:
-    ball = cq.Workplane("XY").sphere(3.2).translate((17, 0, 1))
-    return without(ring(19, 15, 5, -2.5), around(ball, 10))

@@ -73,12 +73,6 @@ def _cooling_tower() -> Any:
     return body.union(ring(40.5, 35, 5, -75))
 
 
-@part("hyperboloid_roller", "Waisted roller: a solid hyperboloid with journals")
-def _roller() -> Any:
-    body = revolved(bounded(hyperbola(14, 0.5, -36, 36), cq.Edge.makeLine((0, 0, -36), (0, 0, 36))))
-    return body.union(disc(8, 108, -54)).faces("<Z or >Z").edges().chamfer(1)
-
-
 @part("cone_sections", "Cone with apex and flats: parabola, hyperbola and ellipse edges")
 def _cone_sections() -> Any:
     cone = turned([(0, 0), (50, 0), (0, 75)])

@@ -4,7 +4,7 @@ from typing import Any
 
 import cadquery as cq
 
-from .outlines import compound, disc, ring, rod, turned
+from .outlines import compound, disc, rod, turned
 from .registry import Unit, part
 
 
@@ -22,12 +22,6 @@ def _half_ball() -> Any:
 @part("ring_half", "Half of a torus ring with flat ends")
 def _half_ring() -> Any:
     return cq.Workplane("XZ").center(30, 0).circle(8).revolve(180, (-30, 0, 0), (-30, 1, 0))
-
-
-@part("cylinder_half", "Half of a thick-walled cylinder with a flange")
-def _half_cylinder() -> Any:
-    body = ring(24, 18, 60).union(ring(34, 18, 6))
-    return body.intersect(cq.Workplane("XY").box(80, 40, 140).translate((0, 20, 0)))
 
 
 @part("block_void", "Block with a closed spherical void: one solid of two shells")
@@ -49,13 +43,6 @@ def _dice() -> Any:
     for p in pips:
         body = body.cut(cq.Workplane("XY").sphere(1.7).translate(p))
     return body
-
-
-@part("wedge_ramp", "Ramp wedge with a dovetail groove")
-def _wedge() -> Any:
-    body = cq.Workplane("XZ").polyline([(0, 0), (80, 0), (80, 30), (0, 8)]).close().extrude(-40)
-    tail = cq.Workplane("YZ", origin=(-1, 20, 0)).polyline([(-6, 0), (6, 0), (10, 5), (-10, 5)])
-    return body.cut(tail.close().extrude(90)).edges("|Y and >Z").fillet(2)
 
 
 @part("bodies_touching", "Two solids that touch in a face without being joined")

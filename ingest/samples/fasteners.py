@@ -4,7 +4,7 @@ from typing import Any
 
 import cadquery as cq
 
-from .outlines import around, disc, hexagon, joined, ring, rod, turned, without
+from .outlines import around, disc, hexagon, ring, rod, turned, without
 from .registry import part
 from .threads import hexagon_head
 
@@ -74,12 +74,6 @@ def _retaining_ring() -> Any:
 @part("ring_o", "O-ring: one torus face closed in both directions")
 def _o_ring() -> Any:
     return cq.Workplane(obj=cq.Solid.makeTorus(24, 2.6))
-
-
-@part("washer_tooth", "Tooth lock washer with ten twisted teeth")
-def _tooth_washer() -> Any:
-    tooth = cq.Workplane("XY").box(3.2, 2.4, 0.8).rotate((0, 0, 0), (1, 0, 0), 20)
-    return joined(ring(9, 6.2, 0.8), around(tooth.translate((9.5, 0, 0.4)), 10))
 
 
 @part("clevis", "Clevis fork with its cross hole and a rounded end")

@@ -30,7 +30,7 @@ def lofted(sections: list[Section]) -> Any:
     return cq.Workplane(obj=cq.Solid.makeLoft([profile_wire(s) for s in sections]))
 
 
-@part("impeller", "Centrifugal impeller with seven backward-curved twisted blades")
+@part("impeller", "Centrifugal impeller with six backward-curved twisted blades")
 def _impeller() -> Any:
     hub = cq.Workplane("XZ").moveTo(0, 0).lineTo(50, 0).lineTo(50, 3)
     curve = [(30, 7), (15, 18), (11, 32)]
@@ -43,7 +43,7 @@ def _impeller() -> Any:
     limit = cq.Workplane("XZ").moveTo(0, 0.5).lineTo(49, 0.5).lineTo(49, 9)
     limit = limit.threePointArc((33, 15), (25, 29)).lineTo(0, 29).close()
     blade = blade.intersect(limit.revolve(360, (0, 0, 0), (0, 1, 0)))
-    return joined(hub, around(blade, 7)).cut(disc(5, 40, -1))
+    return joined(hub, around(blade, 6)).cut(disc(5, 40, -1))
 
 
 def _blade_trace(
@@ -67,18 +67,6 @@ def _propeller() -> Any:
     hub = cq.Workplane("XZ").moveTo(0, -18).lineTo(15, -18).lineTo(15, 8)
     hub = hub.radiusArc((0, 23), -15).close().revolve(360, (0, 0, 0), (0, 1, 0))
     return joined(hub, around(blade, 4)).cut(disc(5, 30, -19))
-
-
-@part("fan_axial", "Axial fan of six blades in a short shroud")
-def _fan() -> Any:
-    sections = [
-        blade_section(24, 0.12, 0.07, 40, 13),
-        blade_section(27, 0.09, 0.06, 29, 30),
-        blade_section(30, 0.07, 0.05, 22, 47),
-    ]
-    blade = lofted(sections).intersect(disc(47.5, 40, -20))
-    hub = disc(16, 22, -11).faces(">Z").edges().fillet(3)
-    return joined(hub, [*around(blade, 6), ring(50, 46, 24, -12)]).cut(disc(4, 40, -20))
 
 
 @part("turbine_blade", "Turbine blade: twisted airfoil on a platform with a fir-tree root")
@@ -185,14 +173,6 @@ def _door_knob() -> Any:
     knob = ball.revolve(360, (0, 0, 0), (0, 1, 0)).union(disc(9, 26, 4))
     rose = turned([(0, 0), (28, 0), (28, 2), (24, 5), (0, 5)])
     return knob.union(rose)
-
-
-@part("vase_twisted", "Twisted hexagonal vase standing on a round foot")
-def _vase() -> Any:
-    body = cq.Workplane("XY").polygon(6, 60).twistExtrude(110, 60)
-    return body.cut(cq.Workplane("XY", origin=(0, 0, 4)).circle(20).extrude(120)).union(
-        turned([(0, -6), (26, -6), (22, 0), (22, 3), (0, 3)])
-    )
 
 
 @part("gasket_wave", "Wave spring washer: a ring whose height follows a sine")

@@ -5,7 +5,7 @@ from typing import Any
 
 import cadquery as cq
 
-from .outlines import around, disc, involute_gear, polar, ring, rod, turned, without
+from .outlines import around, disc, involute_gear, ring, rod, turned, without
 from .registry import part
 
 
@@ -19,12 +19,6 @@ def spur(module: float, teeth: int, width: float) -> Any:
 def _spur() -> Any:
     body = spur(3, 18, 16).union(disc(15, 28))
     return body.cut(disc(8, 40, -1)).cut(cq.Workplane("XY").rect(5, 20.6).extrude(40))
-
-
-@part("gear_pinion", "Pinion of 12 involute teeth on a shaft")
-def _pinion() -> Any:
-    shaft = turned([(0, -30), (7, -30), (8, -29), (8, 50), (7, 51), (0, 51)])
-    return spur(2.5, 12, 22).union(shaft)
 
 
 @part("gear_helical", "Helical gear of 14 involute teeth, helix angle 20 degrees")
@@ -76,24 +70,6 @@ def _sprocket() -> Any:
     body = without(body, around(rod((radius, 0, -4), (radius, 0, 4), roller), teeth))
     body = without(body, around(rod((22, 0, -4), (22, 0, 4), 4), 6))
     return body.union(disc(16, 20, -2.5)).cut(disc(8, 50, -20))
-
-
-@part("ratchet_wheel", "Ratchet wheel of 14 undercut teeth with a square hole")
-def _ratchet() -> Any:
-    outline = []
-    for i in range(14):
-        angle = 2 * pi * i / 14
-        outline += [polar(30, angle), polar(24, angle + 0.06)]
-    body = cq.Workplane("XY").polyline(outline).close().extrude(8).union(disc(14, 12))
-    return body.cut(cq.Workplane("XY").rect(12, 12).extrude(20))
-
-
-@part("gear_worm_wheel", "Worm wheel whose throated rim is a torus, with 20 slots")
-def _worm_wheel() -> Any:
-    rim = cq.Workplane("XZ").moveTo(12, -9).lineTo(41, -9).threePointArc((36, 0), (41, 9))
-    body = rim.lineTo(12, 9).close().revolve(360, (0, 0, 0), (0, 1, 0))
-    slot = cq.Workplane("YZ", origin=(32, 0, 0)).transformed(rotate=(0, 0, 12)).rect(4, 30)
-    return without(body, [*around(slot.extrude(12), 20), ring(28, 18, 5, 5), ring(28, 18, 5, -10)])
 
 
 @part("geneva_wheel", "Geneva wheel of six slots")

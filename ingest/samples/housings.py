@@ -144,19 +144,3 @@ def _manifold() -> Any:
         body = body.cut(disc(9, 8, 14).translate((x, 0, 0)))
     corners = cq.Workplane("XY", origin=(0, 0, -21)).rarray(76, 38, 2, 2).circle(3.2).extrude(42)
     return body.cut(corners).edges("|Z").chamfer(1.5)
-
-
-@part("motor_mount", "Motor mount plate with a pilot bore, slots and stiffening ribs")
-def _motor_mount() -> Any:
-    body = box((86, 86, 6)).edges("|Z").fillet(10).union(ring(28, 20, 10))
-    for x, y in bolt_circle(33, 4, 45):
-        body = body.cut(disc(3, 20, -10).translate((x, y, 0)))
-    body = joined(body, around(box((18, 3, 6), (34, 0, 6)), 4))
-    return body.cut(disc(20, 30, -10))
-
-
-@part("plate_perforated", "Perforated plate of 60 holes in a staggered pattern")
-def _perforated() -> Any:
-    spots = [(12 * i + 6 * (j % 2) - 60, 10.4 * j - 26) for i in range(10) for j in range(6)]
-    plate = cq.Workplane("XY").rect(136, 76).extrude(2)
-    return plate.faces(">Z").workplane(origin=(0, 0, 0)).pushPoints(spots).hole(7)

@@ -121,15 +121,6 @@ def _v_pulley() -> Any:
     return body.cut(cq.Workplane("XY").rect(6, 29).extrude(40))
 
 
-@part("pulley_round_belt", "Pulley with a semicircular groove, spokes and a filleted rim")
-def _round_pulley() -> Any:
-    rim = cq.Workplane("XZ").moveTo(36, -8).lineTo(46, -8).lineTo(46, -6)
-    rim = rim.threePointArc((40, 0), (46, 6)).lineTo(46, 8).lineTo(36, 8).close()
-    body = rim.revolve(360, (0, 0, 0), (0, 1, 0)).union(disc(12, 20, -10))
-    body = joined(body, around(rod((0, 0, 0), (38, 0, 0), 3.5), 5, 36))
-    return body.cut(disc(6, 40, -20))
-
-
 @part("handwheel", "Handwheel with a torus rim, four bent spokes and a crank handle")
 def _handwheel() -> Any:
     rim = cq.Workplane(obj=cq.Solid.makeTorus(70, 8))

@@ -1,7 +1,8 @@
 """Models to STEP files whose bytes depend on the model alone."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from OCP.Interface import Interface_Static
 from OCP.STEPCAFControl import STEPCAFControl_Writer
 from OCP.STEPConstruct import STEPConstruct, STEPConstruct_Styles
 from OCP.STEPControl import STEPControl_Controller, STEPControl_StepModelType
-from OCP.StepRepr import StepRepr_NextAssemblyUsageOccurrence
+from OCP.StepRepr import StepRepr_HArray1OfRepresentationItem, StepRepr_NextAssemblyUsageOccurrence
 from OCP.StepVisual import StepVisual_MechanicalDesignGeometricPresentationRepresentation
 from OCP.TCollection import TCollection_ExtendedString, TCollection_HAsciiString
 from OCP.TDataStd import TDataStd_Name
@@ -24,6 +25,9 @@ from OCP.TopoDS import TopoDS_Shape
 from OCP.XCAFDoc import XCAFDoc_DocumentTool
 
 from .registry import Unit
+
+NamedFace = tuple[cq.Face, str, cq.Color]
+"""Face of a leaf of an assembly with its name and colour: ``metadata={"faces": [...]}``."""
 
 TIME_STAMP = "2000-01-01T00:00:00"
 """Time stamp in the header of every sample, so that equal models give equal bytes."""
@@ -58,12 +62,22 @@ def write_step(model: Any, path: Path, *, name: str, unit: Unit = "mm") -> None:
         writer.SetColorMode(False)  # its order follows addresses in memory: see _paint
         writer.SetNameMode(True)
         written = writer.Transfer(document.native, STEPControl_StepModelType.STEPControl_AsIs)
-        _paint(writer, document.colours)
+        _paint(writer, document.paints)
         _number_instances(writer)
         _set_header(writer, name)
         status = writer.Write(str(path)) if written else None
     if status != IFSelect_ReturnStatus.IFSelect_RetDone:
         raise OSError(f"cannot write {path}: the STEP writer returned {status}")
+
+
+@dataclass(frozen=True, slots=True)
+class _Paint:
+    """Name and colour of a solid or face of a product's shape."""
+
+    item: TopoDS_Shape
+    name: str
+    colour: cq.Color
+    product: TopoDS_Shape
 
 
 class _Document:
@@ -72,7 +86,7 @@ class _Document:
     def __init__(self) -> None:
         self.native = TDocStd_Document(TCollection_ExtendedString("BinXCAF"))
         self._shapes: Any = XCAFDoc_DocumentTool.ShapeTool_s(self.native.Main())
-        self.colours: list[tuple[TopoDS_Shape, cq.Color]] = []
+        self.paints: list[_Paint] = []
         self._products: dict[int, TDF_Label] = {}
 
     def add(self, model: Any, name: str) -> None:
@@ -89,7 +103,8 @@ class _Document:
         Nodes ``bolt.1`` and ``bolt.2`` are instances of the product ``bolt``.
         """
         if not node.children:
-            return self._add_shape(node.obj, name, node.color)
+            faces = node.metadata.get("faces", [])
+            return self._add_shape(node.obj, name, node.color, faces)
         label: TDF_Label = self._shapes.NewShape()
         _set_name(label, name)
         if node.obj is not None:
@@ -107,7 +122,9 @@ class _Document:
         location: TopLoc_Location = where.wrapped
         _set_name(self._shapes.AddComponent(assembly, product, location), name)
 
-    def _add_shape(self, model: Any, name: str, colour: cq.Color | None) -> TDF_Label:
+    def _add_shape(
+        self, model: Any, name: str, colour: cq.Color | None, faces: Sequence[NamedFace] = ()
+    ) -> TDF_Label:
         """Add a product without parts of its own, once per model object."""
         known = self._products.get(id(model))
         if known is not None:
@@ -116,7 +133,10 @@ class _Document:
         label: TDF_Label = self._shapes.AddShape(shape, False)
         _set_name(label, name)
         if colour is not None:
-            self.colours.append((shape, colour))
+            self.paints += [
+                _Paint(s.wrapped, "", colour, shape) for s in cq.Shape.cast(shape).Solids()
+            ]
+        self.paints += [_Paint(face.wrapped, text, tint, shape) for face, text, tint in faces]
         self._products[id(model)] = label
         return label
 
@@ -155,18 +175,20 @@ def _set_name(label: TDF_Label, name: str) -> None:
     TDataStd_Name.Set_s(label, TCollection_ExtendedString(name))
 
 
-def _paint(writer: STEPCAFControl_Writer, colours: list[tuple[TopoDS_Shape, cq.Color]]) -> None:
-    """Add the surface colours of products in a fixed order."""
-    session = writer.ChangeWriter().WS()
-    for shape, colour in colours:
-        styles = STEPConstruct_Styles(session)
-        rgb = STEPConstruct_Styles.EncodeColor_s(colour.wrapped.GetRGB())
-        for solid in cq.Shape.cast(shape).Solids():
-            item = STEPConstruct.FindEntity_s(styles.FinderProcess(), solid.wrapped)
-            styles.AddStyle(item, styles.MakeColorPSA(item, rgb, None, None, 0.0), None)
-        representation = StepVisual_MechanicalDesignGeometricPresentationRepresentation()
-        context = styles.FindContext(shape)
-        styles.CreateMDGPR(context, representation, writer.ChangeWriter().Model())
+def _paint(writer: STEPCAFControl_Writer, paints: Sequence[_Paint]) -> None:
+    """Add names and surface colours of solids and faces in a fixed order."""
+    styles = STEPConstruct_Styles(writer.ChangeWriter().WS())
+    for paint in paints:
+        item = STEPConstruct.FindEntity_s(styles.FinderProcess(), paint.item)
+        if paint.name:
+            item.SetName(TCollection_HAsciiString(paint.name))
+        rgb = STEPConstruct_Styles.EncodeColor_s(paint.colour.wrapped.GetRGB())
+        style = styles.MakeColorPSA(item, rgb, None, None, 0.0)
+        items = StepRepr_HArray1OfRepresentationItem(1, 1)
+        items.SetValue(1, styles.AddStyle(item, style, None))
+        painted = StepVisual_MechanicalDesignGeometricPresentationRepresentation()
+        painted.Init(TCollection_HAsciiString(""), items, styles.FindContext(paint.product))
+        writer.ChangeWriter().Model().AddWithRefs(painted)
 
 
 def _number_instances(writer: STEPCAFControl_Writer) -> None:

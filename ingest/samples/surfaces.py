@@ -29,12 +29,6 @@ def _offset_panel() -> Any:
     return cq.Workplane(obj=face.thicken(2.5))
 
 
-@part("seat_pan", "Seat pan: a saddle sheet of constant thickness")
-def _seat() -> Any:
-    face = sheet(lambda s, t: 26 * (s - 0.5) ** 2 - 18 * (t - 0.5) ** 2, (100, 90))
-    return cq.Workplane(obj=face.thicken(-3))
-
-
 @part("float_ellipsoid", "Ellipsoid float on a rod: rational spline faces")
 def _ellipsoid() -> Any:
     ball = cq.Solid.makeSphere(20, cq.Vector(), cq.Vector(0, 0, 1), -90, 90, 360)

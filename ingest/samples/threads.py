@@ -4,7 +4,7 @@ from typing import Any
 
 import cadquery as cq
 
-from .outlines import around, disc, hexagon, ring, rod, turned, without
+from .outlines import disc, hexagon, ring, turned
 from .registry import part
 
 
@@ -83,21 +83,6 @@ def _lead_screw() -> Any:
     return core.union(thread.translate((0, 0, 2)))
 
 
-@part("worm", "Worm of one start with a trapezoidal thread on a shaft")
-def _worm() -> Any:
-    thread = ridge(11, 6.5, 6, [(-0.6, -2.4), (4, -0.9), (4, 0.9), (-0.6, 2.4)])
-    core = disc(11, 48, -4).union(disc(7, 100, -30)).faces("<Z or >Z").edges().chamfer(1)
-    return core.union(thread)
-
-
-@part("jar_lid", "Screw lid with a knurled rim and a coarse inner thread")
-def _jar_lid() -> Any:
-    body = disc(34, 16).faces(">Z").edges().fillet(2.5).cut(disc(31.5, 13.5))
-    thread = ridge(31.7, 4, 1.75, [(0, -0.9), (-1.5, -0.3), (-1.5, 0.3), (0, 0.9)])
-    body = body.union(thread.translate((0, 0, 2.5)))
-    return without(body, around(rod((34.6, 0, -1), (34.6, 0, 12), 1.3), 30))
-
-
 def coil(radius: float, wire: float, pitch: float, turns: float, taper: float = 360) -> Any:
     """Round wire swept along a helix; ``taper`` is a cone's half angle in degrees, 360 for none."""
     helix = cq.Wire.makeHelix(pitch, pitch * turns, radius, angle=taper)
@@ -114,15 +99,6 @@ def _compression() -> Any:
 @part("spring_conical", "Conical spring of six turns")
 def _conical() -> Any:
     return coil(20, 1.5, 6, 6, 15)
-
-
-@part("spring_torsion", "Torsion spring with two straight legs")
-def _torsion() -> Any:
-    turns, pitch = 4.25, 4.4
-    body = coil(12, 1.8, pitch, turns)
-    down = rod((12, 0, 0), (12, -34, 0), 1.8)
-    top = pitch * turns
-    return body.union(down).union(rod((0, 12, top), (-34, 12, top), 1.8))
 
 
 @part("washer_spring", "Split spring washer with a helical rise")

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from breplake.queries.check.ids import n_vertices
-from breplake.queries.check.rules import Measure, model_rule
+from breplake.queries.check.rules import Measure, model_rule, place
 from breplake.queries.check.view import ModelView
 from breplake.schema.types import CURVE_TYPES, SURFACE_TYPES, count_column
 
@@ -132,7 +132,8 @@ def bounding_box(view: ModelView) -> Iterator[Measure]:
 
 @model_rule(
     "watertight",
-    "the mesh of a closed model has no boundary, and crosses itself only at nonmanifold curves",
+    "every edge of a closed model's mesh has two triangles; four or more even ones where strips "
+    "of patches touch, an odd number only at nonmanifold curves",
     needs=(*_MESH, "mesh-edges"),
 )
 def watertight(view: ModelView) -> Iterator[Measure]:
@@ -145,11 +146,10 @@ def watertight(view: ModelView) -> Iterator[Measure]:
     for curve in np.flatnonzero(view.words("curves", "kind") == "nonmanifold"):
         crossing[vertices[offsets[curve] : offsets[curve + 1]]] = True
     allowed = (edges.count > 2) & crossing[edges.ends].all(axis=1)
-    ok = (edges.count == 2) | allowed
-    yield Measure.of_truth(
-        ok,
-        lambda i: f"edge {edges.ends[i, 0]}-{edges.ends[i, 1]} has {edges.count[i]} triangles",
-    )
+    ok = (edges.count % 2 == 0) | allowed
+    start, stop = edges.ends.T
+    words = place("edge {0}-{1} has {2} triangles", start, stop, edges.count)
+    yield Measure.of_truth(ok, words)
 
 
 def _compare(view: ModelView, found: Mapping[str, object]) -> Measure:

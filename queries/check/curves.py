@@ -19,6 +19,11 @@ _NEEDS = ("ids-dense", "references", "words", "primary", "curve-lists")
 _GAUSS: Final = np.polynomial.legendre.leggauss(8)
 """Places and weights on [-1, 1] that integrate polynomials of degree 15 exactly."""
 
+_COARSE: Final = np.polynomial.legendre.leggauss(5)
+"""The same for degree 9: where both differ, pieces are halved."""
+
+_HALVINGS: Final = 12
+
 
 @model_rule("curve-lists", "vert_indices and vert_parameters of a curve are equally long")
 def curve_lists(view: ModelView) -> Iterator[Measure]:
@@ -162,11 +167,7 @@ def curve_length(view: ModelView) -> Iterator[Measure]:
     exact = view.floats("curves", "length")
     curves = CurveSet.from_curves(view.table("curves"))
     owner, start, stop = _smooth_pieces(view)
-    found: Floats = np.zeros(len(exact))
-    for at, weight in zip(*_GAUSS, strict=True):
-        t = (start + stop) / 2 + at * (stop - start) / 2
-        speed = np.linalg.norm(curves.evaluate(owner, t).d1, axis=1)
-        found += np.bincount(owner, weight * speed * (stop - start) / 2, minlength=len(exact))
+    found = np.bincount(owner, _arc_lengths(curves, owner, start, stop), minlength=len(exact))
     rows = np.unique(owner)
     rows = rows[~np.isnan(exact[rows])]
     limit = 1e-6 * exact[rows] + 1e-9 * view.diagonal + view.floats("curves", "tolerance")[rows]
@@ -174,6 +175,37 @@ def curve_length(view: ModelView) -> Iterator[Measure]:
     yield Measure(
         np.abs(found - exact)[rows], limit, lambda i: f"curve {rows[i]} ({types[rows[i]]})"
     )
+
+
+def _arc_lengths(curves: CurveSet, owner: Ints, start: Floats, stop: Floats) -> Floats:
+    """Return the lengths of pieces of curves, mm; halved until two quadratures agree."""
+    length = np.asarray(_quadrature(curves, owner, start, stop, _GAUSS))
+    rough = np.abs(length - _quadrature(curves, owner, start, stop, _COARSE))
+    again = np.flatnonzero(rough > 1e-8 * length)
+    halves = 0
+    one, two, piece = start[again], stop[again], again
+    length[again] = 0.0
+    while len(piece):
+        middle = (one + two) / 2
+        one, two = np.concatenate([one, middle]), np.concatenate([middle, two])
+        piece, halves = np.concatenate([piece, piece]), halves + 1
+        fine = _quadrature(curves, owner[piece], one, two, _GAUSS)
+        rough = np.abs(fine - _quadrature(curves, owner[piece], one, two, _COARSE))
+        done = (rough <= 1e-8 * fine) | (halves == _HALVINGS)
+        np.add.at(length, piece[done], fine[done])
+        one, two, piece = one[~done], two[~done], piece[~done]
+    return length
+
+
+def _quadrature(
+    curves: CurveSet, owner: Ints, start: Floats, stop: Floats, rule: tuple[Floats, Floats]
+) -> Floats:
+    """Integrate the speed of curves from start to stop, ``(n,)`` mm."""
+    total: Floats = np.zeros(len(owner))
+    for at, weight in zip(*rule, strict=True):
+        t = (start + stop) / 2 + at * (stop - start) / 2
+        total += weight * np.linalg.norm(curves.evaluate(owner, t).d1, axis=1)
+    return total * (stop - start) / 2
 
 
 def _smooth_pieces(view: ModelView) -> tuple[Ints, Floats, Floats]:

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from breplake.queries.check.mesh import Triangles
-from breplake.queries.check.rules import Measure, model_rule
+from breplake.queries.check.rules import Measure, model_rule, place
 from breplake.queries.check.view import Floats, Ints, ModelView
 from breplake.schema.curves import CurveSet
 
@@ -45,19 +45,19 @@ def winding(view: ModelView) -> Iterator[Measure]:
 
 @model_rule(
     "neighbours",
-    "both triangles at an edge of a closed model's mesh run along it in opposite directions",
+    "at an edge of a closed model's mesh as many triangles run along it as against it "
+    "(edges with an odd number left out)",
     needs=_NEEDS,
 )
 def neighbours(view: ModelView) -> Iterator[Measure]:
-    """Measure each edge with two triangles."""
+    """Measure each edge with an even number of triangles."""
     if not view.row["is_closed"] or not view.has_mesh:
         return
     edges = view.mesh_edges
-    rows = np.flatnonzero(edges.count == 2)
-    ends = edges.ends
-    yield Measure.of_truth(
-        edges.forward[rows] == 1, lambda i: f"edge {ends[rows[i], 0]}-{ends[rows[i], 1]}"
-    )
+    rows = np.flatnonzero(edges.count % 2 == 0)
+    start, stop = edges.ends[rows].T
+    ok = 2 * edges.forward[rows] == edges.count[rows]
+    yield Measure.of_truth(ok, place("edge {0}-{1}", start, stop))
 
 
 @model_rule(

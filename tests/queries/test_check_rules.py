@@ -11,13 +11,16 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pytest
 
+from breplake.queries.check.curves import _arc_lengths, _quadrature
 from breplake.queries.check.ids import REFERENCES
 from breplake.queries.check.rules import Tally
 from breplake.queries.check.run import ORDERED_RULES, check_model
 from breplake.queries.check.view import ModelView
 from breplake.schema.arrays import ARRAYS
+from breplake.schema.curves import CurveSet
 from breplake.schema.tables import TABLES
 
 Rows = dict[str, list[dict[str, Any]]]
@@ -404,3 +407,31 @@ def test_both_sides_of_a_knot_are_right(lean: int) -> None:
     half = math.sqrt(0.5)
     assert angle((lean * half, 0.0, half)) < 1e-9
     assert angle((0.0, 0.0, 1.0)) == pytest.approx(math.pi / 4)
+
+
+def test_length_of_an_uneven_curve() -> None:
+    """A parabola far along its arm: one quadrature is not enough, halving is."""
+    focal, far = 0.01, 2.0
+    x, y = np.eye(3)[:2]
+    row: dict[str, Any] = {"type": "Parabola", "focal": focal}
+    for name, value in (("location", 0 * x), ("x_axis", x), ("y_axis", y)):
+        row[name] = dict(zip("xyz", value.tolist(), strict=True))
+    curves = CurveSet.from_curves(pa.Table.from_pylist([row]))
+    owner, start, stop = np.array([0]), np.array([0.0]), np.array([far])
+    found = _arc_lengths(curves, owner, start, stop)
+    s = far / (2 * focal)
+    assert found == pytest.approx([focal * (s * math.hypot(1, s) + math.asinh(s))], rel=1e-8)
+    once = _quadrature(curves, owner, start, stop, np.polynomial.legendre.leggauss(8))
+    assert once != pytest.approx(found, rel=1e-6)
+
+
+def test_strips_that_touch_are_watertight(solid: Any) -> None:
+    """Four triangles at an edge close a body as two do; three do not."""
+    spoilt = solid("box")
+    faces, model = spoilt.rows("faces"), spoilt.rows("models")[0]
+    for turned_over in (False, True):
+        faces.append(faces[0] | {"face_id": len(faces)})
+        if turned_over:
+            flip(faces[-1])
+        model.update(n_faces=len(faces), n_nonmanifold_edges=3, is_watertight=False)
+        assert ("watertight" in broken_rules(spoilt)) is not turned_over
