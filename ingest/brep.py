@@ -11,8 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from breplake.errors import InputError
-from breplake.ingest.clock import KERNEL
 from breplake.ingest.canonical import Canonical, PartShape, explore, shape_list
+from breplake.ingest.clock import KERNEL
 from breplake.ingest.failure import advise
 from breplake.ingest.geometry import Row, curve_row, surface_row, untrimmed
 from breplake.ingest.load import Label
@@ -24,6 +24,10 @@ __all__ = ["INFINITE", "Brep", "Coedge", "extract"]
 INFINITE: Final = 1e50
 """Parameters beyond this are OCCT's way of saying infinite (``Precision::Infinite``)."""
 
+
+INTEGRAL: Final = 1e-9
+"""Relative error asked of areas and volumes. OCCT's default quadrature has none to ask for: it
+is wrong by up to 0.4 % in area and 4 % in volume on spline patches."""
 
 NO_AREA: Final = 1e-10
 """A patch of less area than this share of the squared diagonal is a fault of the file."""
@@ -204,13 +208,13 @@ def _bounds(shape: Any) -> Row:
     from OCP.Bnd import Bnd_Box
     from OCP.BRepBndLib import BRepBndLib
 
-    for add in (
-        lambda box: BRepBndLib.AddOptimal_s(shape, box, False, False),
-        lambda box: BRepBndLib.Add_s(shape, box, False),
-    ):
+    for optimal in (True, False):
         box = Bnd_Box()
         with KERNEL():
-            add(box)
+            if optimal:
+                BRepBndLib.AddOptimal_s(shape, box, False, False)
+            else:
+                BRepBndLib.Add_s(shape, box, False)
         # The optimal box fails on faulty faces, the plain one is wider but sturdier.
         if not (box.IsVoid() or box.IsOpen()):
             return {"bbox_min": _xyz(box.CornerMin()), "bbox_max": _xyz(box.CornerMax())}
@@ -224,9 +228,9 @@ def _part_row(part_id: int, part: PartShape) -> Row:
     surface, solid = GProp_GProps(), GProp_GProps()
     is_solid = part.kind == "solid"
     with KERNEL():
-        BRepGProp.SurfaceProperties_s(part.shape, surface)
+        BRepGProp.SurfaceProperties_s(part.shape, surface, INTEGRAL)
         if is_solid:
-            BRepGProp.VolumeProperties_s(part.shape, solid)
+            BRepGProp.VolumeProperties_s(part.shape, solid, INTEGRAL)
     # A solid of no volume has no centre of mass; its surface still has one.
     centre = solid if is_solid and solid.Mass() else surface
     return {
@@ -248,7 +252,8 @@ def _is_closed(shape: Any) -> bool:
     from OCP.TopTools import TopTools_IndexedMapOfShape
 
     bounding = (TopAbs_Orientation.TopAbs_FORWARD, TopAbs_Orientation.TopAbs_REVERSED)
-    edges, uses = TopTools_IndexedMapOfShape(), defaultdict(int)
+    edges = TopTools_IndexedMapOfShape()
+    uses: dict[int, int] = defaultdict(int)
     for face in explore(shape, TopAbs_ShapeEnum.TopAbs_FACE):
         for edge in explore(face, TopAbs_ShapeEnum.TopAbs_EDGE):
             if edge.Orientation() in bounding and not BRep_Tool.Degenerated_s(TopoDS.Edge_s(edge)):
@@ -268,7 +273,7 @@ def _patch_row(patch_id: int, face: Any, surface: Any, part_id: int) -> Row:
         raise InputError("unbounded", advise("unbounded", f"patch {patch_id}"))
     properties = GProp_GProps()
     with KERNEL():
-        BRepGProp.SurfaceProperties_s(face, properties)
+        BRepGProp.SurfaceProperties_s(face, properties, INTEGRAL)
     kinds = (TopAbs_ShapeEnum.TopAbs_FACE, TopAbs_ShapeEnum.TopAbs_EDGE)
     tolerances = [BRep_Tool.MaxTolerance_s(face, kind) for kind in kinds]
     tolerances.append(BRep_Tool.MaxTolerance_s(face, TopAbs_ShapeEnum.TopAbs_VERTEX))
@@ -309,9 +314,7 @@ def _coedges(canonical: Canonical, patch_id: int, face: Any) -> list[Coedge]:
                 TopAbs_Orientation.TopAbs_EXTERNAL,
             )
             curve_id = canonical.edges.FindIndex(edge) - 1
-            found.append(
-                Coedge(patch_id, loop, place, curve_id, backward != flipped, internal)
-            )
+            found.append(Coedge(patch_id, loop, place, curve_id, backward != flipped, internal))
     return found
 
 
@@ -321,7 +324,7 @@ def _ordered_edges(wire: Any, face: Any) -> list[Any]:
     from OCP.TopAbs import TopAbs_ShapeEnum
 
     stored = list(explore(wire, TopAbs_ShapeEnum.TopAbs_EDGE))
-    ordered = []
+    ordered: list[Any] = []
     explorer = BRepTools_WireExplorer(wire, face)
     while explorer.More() and len(ordered) <= len(stored):
         ordered.append(explorer.Current())
@@ -369,9 +372,7 @@ def _crease(edge: Any, uses: list[Coedge]) -> Crease | None:
     return Crease(edge, left.patch_id, right.patch_id) if left.patch_id != right.patch_id else None
 
 
-def _role_row(
-    edge: Any, uses: list[Coedge], dihedral: Dihedral | None, faces: list[Any]
-) -> Row:
+def _role_row(edge: Any, uses: list[Coedge], dihedral: Dihedral | None, faces: list[Any]) -> Row:
     """Return what the curve is to its patches."""
     from OCP.BRep import BRep_Tool
 

@@ -52,7 +52,9 @@ def explore(shape: Any, kind: Any, avoid: Any = None) -> Iterator[Any]:
     """Yield the sub-shapes of one kind, with repetition, orientation and location applied."""
     from OCP.TopExp import TopExp_Explorer
 
-    explorer = TopExp_Explorer(shape, kind) if avoid is None else TopExp_Explorer(shape, kind, avoid)
+    explorer = (
+        TopExp_Explorer(shape, kind) if avoid is None else TopExp_Explorer(shape, kind, avoid)
+    )
     while explorer.More():
         yield explorer.Current()
         explorer.Next()

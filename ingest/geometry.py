@@ -7,6 +7,7 @@ correctly.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -16,6 +17,7 @@ __all__ = [
     "Row",
     "cone_coefficients",
     "curve_row",
+    "flat_knots",
     "plane_coefficients",
     "quadric_coefficients",
     "sphere_coefficients",
@@ -83,9 +85,7 @@ def sphere_coefficients(location: _Vector, radius: float) -> list[float]:
     return quadric_coefficients(np.eye(3), -location, float(location @ location) - radius**2)
 
 
-def cone_coefficients(
-    location: _Vector, axis: _Vector, radius: float, slope: float
-) -> list[float]:
+def cone_coefficients(location: _Vector, axis: _Vector, radius: float, slope: float) -> list[float]:
     """Coefficients of a cone, or of a cylinder where `slope` is 0 (paper, appendix).
 
     With ``q = x - location``: ``|q|^2 - (q.a)^2 = (r + s q.a)^2``.
@@ -154,10 +154,6 @@ def _continuity(shape: Any) -> int:
 
 
 def _spline_curve_row(curve: Any) -> Row:
-    if curve.IsPeriodic() and curve.NbPoles() <= curve.Degree():
-        # OCCT's KnotSequence is wrong for these; the open spline is the same curve.
-        curve = curve.Copy()
-        curve.SetNotPeriodic()
     rational = curve.IsRational()
     n = curve.NbPoles()
     return {
@@ -168,9 +164,39 @@ def _spline_curve_row(curve: Any) -> Row:
         "periodic": curve.IsPeriodic(),
         "continuity": _continuity(curve.Continuity()),
         "poles": [_xyz(curve.Pole(i + 1)) for i in range(n)],
-        "knots": _reals(curve.KnotSequence()),
+        "knots": flat_knots(
+            _reals(curve.Knots()),
+            [curve.Multiplicity(i + 1) for i in range(curve.NbKnots())],
+            curve.Degree() if curve.IsPeriodic() else None,
+        ),
         "weights": [curve.Weight(i + 1) for i in range(n)] if rational else None,
     }
+
+
+def flat_knots(
+    knots: Sequence[float], multiplicities: Sequence[int], periodic_degree: int | None
+) -> list[float]:
+    """Repeat knots by their multiplicity, and continue a periodic spline's on both sides.
+
+    The result is OCCT's ``KnotSequence``, which itself is wrong for periodic splines with no
+    more poles than their degree.
+
+    Parameters
+    ----------
+    knots : sequence of float
+        Distinct knots, ascending.
+    multiplicities : sequence of int
+        How often each counts.
+    periodic_degree : int or None
+        Degree if the spline is periodic: its first and last knot are then the same place.
+    """
+    if periodic_degree is None:
+        return [float(knot) for knot in np.repeat(knots, multiplicities)]
+    period = np.repeat(knots[:-1], multiplicities[:-1])
+    n, first = len(period), multiplicities[0]
+    margin = periodic_degree + 1 - first
+    turn, place = np.divmod(np.arange(-margin, n + first + margin), n)
+    return [float(knot) for knot in period[place] + turn * (knots[-1] - knots[0])]
 
 
 def _reals(array: Any) -> list[float]:
@@ -251,16 +277,6 @@ def _elementary_row(surface: Any) -> Row:
 
 
 def _spline_surface_row(surface: Any) -> Row:
-    # OCCT's knot sequences are wrong for periodic splines with so few poles; the open
-    # spline is the same surface.
-    short_u = surface.IsUPeriodic() and surface.NbUPoles() <= surface.UDegree()
-    short_v = surface.IsVPeriodic() and surface.NbVPoles() <= surface.VDegree()
-    if short_u or short_v:
-        surface = surface.Copy()
-        if short_u:
-            surface.SetUNotPeriodic()
-        if short_v:
-            surface.SetVNotPeriodic()
     us, vs = range(1, surface.NbUPoles() + 1), range(1, surface.NbVPoles() + 1)
     rational = surface.IsURational() or surface.IsVRational()
     return {
@@ -271,9 +287,15 @@ def _spline_surface_row(surface: Any) -> Row:
         "v_rational": surface.IsVRational(),
         "continuity": _continuity(surface.Continuity()),
         "poles": [[_xyz(surface.Pole(i, j)) for j in vs] for i in us],
-        "u_knots": _reals(surface.UKnotSequence()),
-        "v_knots": _reals(surface.VKnotSequence()),
+        "u_knots": flat_knots(
+            _reals(surface.UKnots()),
+            [surface.UMultiplicity(i + 1) for i in range(surface.NbUKnots())],
+            surface.UDegree() if surface.IsUPeriodic() else None,
+        ),
+        "v_knots": flat_knots(
+            _reals(surface.VKnots()),
+            [surface.VMultiplicity(i + 1) for i in range(surface.NbVKnots())],
+            surface.VDegree() if surface.IsVPeriodic() else None,
+        ),
         "weights": [[surface.Weight(i, j) for j in vs] for i in us] if rational else None,
-        "u_periodic": surface.IsUPeriodic(),
-        "v_periodic": surface.IsVPeriodic(),
     }

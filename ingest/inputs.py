@@ -94,7 +94,9 @@ def find_inputs(sources: Sequence[Path], collection: str | None = None) -> list[
             kind = _format(path)
             if kind is None:
                 known = ", ".join(FORMATS)
-                raise UsageError(f"{path} is no CAD file: its name must end in {known}, or those with .gz")
+                raise UsageError(
+                    f"{path} is no CAD file: its name must end in {known}, or those with .gz"
+                )
             relative = path.relative_to(source) if is_folder else Path(path.name)
             item = _input(path, group, _stem(relative), kind)
             twin = found.setdefault((group, item.name), item)

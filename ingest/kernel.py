@@ -135,7 +135,9 @@ class GmshModel:
             ``count-mismatch``, naming the first entity that differs.
         """
         counts = (len(self.brep.vertices), len(self.curve_ids), len(self.brep.faces))
-        for dim, (name, ours) in enumerate(zip(("corners", "curves", "patches"), counts, strict=True)):
+        for dim, (name, ours) in enumerate(
+            zip(("corners", "curves", "patches"), counts, strict=True)
+        ):
             tags = sorted(tag for _, tag in self.gmsh.model.getEntities(dim))
             if tags != list(range(1, ours + 1)):
                 raise self._mismatch(f"{name}: {ours} in the B-Rep, {len(tags)} in Gmsh")
@@ -262,7 +264,9 @@ class ClosedForm:
         self.curves = CurveSet.from_curves(tables["curves"])
         bounding = np.array([row["kind"] not in ("degenerate", "free") for row in brep.curves])
         if not (self.surfaces.known.all() and self.curves.known[bounding].all()):
-            raise InputError("truth-failed", advise("truth-failed", "not all geometry has a closed form"))
+            raise InputError(
+                "truth-failed", advise("truth-failed", "not all geometry has a closed form")
+            )
 
     def jet(self, patch_ids: _Ints, u: _Floats, v: _Floats) -> SurfaceJet:
         """Evaluate surfaces, as `GmshModel.jet` does."""

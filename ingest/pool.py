@@ -73,7 +73,7 @@ def run_models(
         for i, item in enumerate(inputs)
     ]
     waiting.reverse()
-    running: dict[Any, tuple[Result, int]] = {}
+    running: dict[Any, Result] = {}
     pool = _pool(jobs, settings)
     try:
         while waiting or running:
@@ -83,13 +83,13 @@ def run_models(
                 if result.failures:
                     yield result
                 else:
-                    running[_submit(pool, result, settings, 0)] = result, 0
+                    running[_submit(pool, result, settings, 0)] = result
             done, _ = concurrent.futures.wait(running, return_when="FIRST_COMPLETED")
             for future in done:
-                result, rung = running.pop(future)
+                result = running.pop(future)
                 again = _take(future, result, settings)
                 if again is not None:
-                    running[_submit(pool, result, settings, again)] = result, again
+                    running[_submit(pool, result, settings, again)] = result
                 else:
                     yield result
     finally:

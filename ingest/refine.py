@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from breplake.ingest.mesh import CurveNodes, Mesh, edge_lengths, unique_edges
-from breplake.schema.projection import project_points
 from breplake.schema.jets import SurfaceJet
+from breplake.schema.projection import project_points
 
 __all__ = ["Geometry", "Periods", "refine"]
 
@@ -54,6 +54,17 @@ class Periods:
     def __init__(self, period: _Floats, bounds: _Floats) -> None:
         self.period = period
         self.bounds = bounds
+
+    def inside(self, patch: _Ints, uv: _Floats) -> _Floats:
+        """Return `uv` within the bounds: by whole periods where closed, else the nearest."""
+        bounds = self.bounds[patch]
+        low, high = bounds[:, 0::2], bounds[:, 1::2]
+        outside = (uv < low) | (uv > high)
+        bounded = np.isfinite(low) & np.isfinite(high)
+        middle = np.where(bounded, low, uv) / 2 + np.where(bounded, high, uv) / 2
+        moved = np.where(outside, self.near(patch, uv, middle), uv)
+        clipped: _Floats = np.clip(moved, low, high)
+        return clipped
 
     def near(self, patch: _Ints, uv: _Floats, anchor: _Floats) -> _Floats:
         """Return `uv` moved by whole periods next to `anchor`; all ``(n, 2)``."""
@@ -102,7 +113,8 @@ def refine(mesh: Mesh, geometry: Geometry, periods: Periods, limit: float, most:
 
 def _keys(edges: _Ints) -> _Ints:
     """Return one number ``(e,)`` for each edge ``(e, 2)``, the same in every round."""
-    return edges[:, 0] << 32 | edges[:, 1]
+    keys: _Ints = edges[:, 0] << 32 | edges[:, 1]
+    return keys
 
 
 def _propagate(split: _Bools, free: _Bools, lengths: _Floats, of_triangle: _Ints) -> _Bools:
@@ -169,7 +181,8 @@ class _Split:
         middle = self.old.points[self.ends].mean(axis=1)
         off = np.linalg.norm(self.points - middle, axis=1)
         length = edge_lengths(self.old.points, self.ends)
-        return self.ends[~(off <= 0.5 * length)]
+        found: _Ints = self.ends[~(off <= 0.5 * length)]
+        return found
 
     def _place_on_curves(self) -> None:
         """Put the new vertices of curve segments on their curve, halfway in the parameter."""
@@ -199,7 +212,7 @@ class _Split:
 
     def _place_on_patches(self, patch: _Ints, fresh: _Ints) -> _Floats:
         """Return parameters ``(p, 2)`` of the pairs, and move inner vertices onto the patch."""
-        start = self._middle(patch, fresh)
+        start = self.periods.inside(patch, self._middle(patch, fresh))
         u, v, _ = project_points(
             self.geometry.jet,
             patch,
@@ -214,9 +227,7 @@ class _Split:
 
     def _middle(self, patch: _Ints, fresh: _Ints) -> _Floats:
         """Return the middle of both ends' parameters, across seams and beside poles."""
-        a, b = (
-            self.old.pairs(patch, self.ends[fresh, side]) for side in (0, 1)
-        )
+        a, b = (self.old.pairs(patch, self.ends[fresh, side]) for side in (0, 1))
         uv_a, uv_b = self.old.uv[a], self.periods.near(patch, self.old.uv[b], self.old.uv[a])
         jets = [self.geometry.jet(patch, uv[:, 0], uv[:, 1]) for uv in (uv_a, uv_b)]
         middle = (uv_a + uv_b) / 2

@@ -74,9 +74,7 @@ def brep_columns(brep: Brep) -> Row:
         "volume": volume,
         "is_closed": bool(brep.patches) and all(part["is_closed"] for part in brep.parts),
         "is_single_primitive": "free" not in kinds
-        and is_single_primitive(
-            len(brep.parts), brep.patches, len(brep.corners), len(brep.curves)
-        ),
+        and is_single_primitive(len(brep.parts), brep.patches, len(brep.corners), len(brep.curves)),
         "fingerprint": fingerprint(brep.patches, brep.curves, volume),
     }
 

@@ -24,6 +24,7 @@ __all__ = [
 ]
 
 _Floats = npt.NDArray[np.float64]
+_Bools = npt.NDArray[np.bool_]
 
 SHARP_COSINE: Final = 0.95
 """ABC's threshold: normals that differ by more than 18.2 degrees make a sharp curve."""
@@ -71,7 +72,7 @@ class Dihedral:
 
 def dihedrals(left: _Floats, right: _Floats, tangents: _Floats) -> list[Dihedral]:
     """Derive the angles of many curves; arguments are ``(e, s, 3)`` as in `Dihedral.between`."""
-    defined = np.isfinite(left).all(axis=2) & np.isfinite(right).all(axis=2)  # (e, s)
+    defined = np.isfinite(left + right).all(axis=2).astype(bool, copy=False)  # (e, s)
     cosine = np.einsum("esi,esi->es", left, right)
     cross = np.cross(left, right)  # (e, s, 3)
     # atan2 keeps small angles exact, where arccos loses half of the digits
@@ -79,8 +80,9 @@ def dihedrals(left: _Floats, right: _Floats, tangents: _Floats) -> list[Dihedral
     side = np.einsum("esi,esi->es", cross, tangents)
     bent = defined & (angle > _CREASE)
     convex, concave = (bent & (side > 0)).any(axis=1), (bent & (side < 0)).any(axis=1)
-    known = defined.any(axis=1)
-    sharp = known & (~defined | (np.abs(cosine) <= SHARP_COSINE)).all(axis=1)
+    known = defined.sum(axis=1) > 0  # (e,)
+    flat = defined & ~(np.abs(cosine) <= SHARP_COSINE)  # (e, s)
+    sharp = known & (flat.sum(axis=1) == 0)
     least = np.where(defined, angle, np.inf).min(axis=1, initial=np.inf)
     most = np.where(defined, angle, -np.inf).max(axis=1, initial=-np.inf)
     names = np.select([convex & concave, convex, concave], ["mixed", "convex", "concave"], "")
@@ -187,7 +189,8 @@ def _kernel_normal(surface: Any, u: float, v: float) -> _Floats:
     cross = du.Crossed(dv)
     if not cross.Magnitude() > 1e-9 * du.Magnitude() * dv.Magnitude():
         return np.full(3, np.nan)
-    return np.array([cross.X(), cross.Y(), cross.Z()]) / cross.Magnitude()
+    unit = cross.Normalized()
+    return np.array([unit.X(), unit.Y(), unit.Z()])
 
 
 def classify(dihedral: Dihedral) -> str:

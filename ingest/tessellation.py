@@ -8,7 +8,6 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from breplake.ingest.brep import Brep
 from breplake.ingest.clock import KERNEL
 from breplake.ingest.kernel import ClosedForm, GmshModel
 from breplake.ingest.mesh import CurveNodes, Mesh
@@ -44,9 +43,7 @@ def tessellate(model: GmshModel | ClosedForm, limit: float) -> Mesh:
     brep = model.brep
     BRepTools.Clean_s(brep.canonical.compound)
     with KERNEL():
-        BRepMesh_IncrementalMesh(
-            brep.canonical.compound, limit / 2, False, _ANGLE, False
-        )
+        BRepMesh_IncrementalMesh(brep.canonical.compound, limit / 2, False, _ANGLE, False)
     return _Tessellation(model).mesh()
 
 
@@ -61,8 +58,9 @@ class _Tessellation:
         self.curves: dict[int, CurveNodes] = {}
 
     def mesh(self) -> Mesh:
+        ends = {r[k] for r in self.brep.curves for k in ("start_corner", "end_corner")}
         for corner_id, corner in enumerate(self.brep.corners):
-            if self._corner_used(corner_id):
+            if corner_id in ends:
                 point = np.array([[corner["point"][axis] for axis in "xyz"]])
                 self.corner_vertex[corner_id] = self._add(point)[0]
         triangles, patches, pairs, uv = [], [], [], []
@@ -74,26 +72,20 @@ class _Tessellation:
             uv.append(parameters)
         pair = np.concatenate(pairs)
         points = np.concatenate(self.points)
-        corner = np.full(len(points), -1, dtype=np.int64)
+        on_corner = np.full(len(points), -1, dtype=np.int64)
         used = np.flatnonzero(self.corner_vertex >= 0)
-        corner[self.corner_vertex[used]] = used
+        on_corner[self.corner_vertex[used]] = used
         mesh = Mesh(
             points,
             np.concatenate(triangles),
             np.concatenate(patches),
-            corner,
+            on_corner,
             self.curves,
             pair[:, 0].astype(np.int64),
             pair[:, 1].astype(np.int64),
             np.concatenate(uv),
         )
         return _compact(mesh)
-
-    def _corner_used(self, corner_id: int) -> bool:
-        if not hasattr(self, "_used"):
-            rows = self.brep.curves
-            self._used = {row[k] for row in rows for k in ("start_corner", "end_corner")}
-        return corner_id in self._used
 
     def _add(self, points: _Floats) -> _Ints:
         self.points.append(points)
@@ -155,7 +147,7 @@ class _Tessellation:
             else self.corner_vertex[row[key]]
             for i, key in ((0, "start_corner"), (-1, "end_corner"))
         ]
-        inner = self._add(self.model.curve_points(curve_id, t[1:-1])) if len(t) > 2 else []
+        inner = self._add(self.model.curve_points(curve_id, t[1:-1]))
         return CurveNodes(np.array([ends[0], *inner, ends[1]], dtype=np.int64), t)
 
 

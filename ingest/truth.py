@@ -63,7 +63,8 @@ def derive(
         Of the model, mm.
     """
     patch, target = mesh.pair_patch, mesh.points[mesh.pair_vertex]
-    uv = mesh.uv.copy()
+    # Gmsh goes on past the seam of closed surfaces that are not periodic.
+    uv = periods.inside(patch, mesh.uv)
     residual = np.linalg.norm(geometry.jet(patch, uv[:, 0], uv[:, 1]).point - target, axis=1)
     off = np.flatnonzero(~(residual <= EXACT * diagonal))
     if len(off):

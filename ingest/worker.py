@@ -92,9 +92,7 @@ def work(task: Task) -> list[Failure]:
 
 def _failure(clock: StageClock, kind: str, message: str, fatal: bool) -> Failure:
     seconds = clock.columns()["seconds"]
-    return Failure(
-        clock.current, kind, message, fatal, seconds=seconds, peak_memory=peak_memory()
-    )
+    return Failure(clock.current, kind, message, fatal, seconds=seconds, peak_memory=peak_memory())
 
 
 class _Model:
@@ -209,7 +207,9 @@ class _Model:
         least = float(np.sqrt(2 * self.row["area"] / (0.433 * self.settings.max_triangles)))
         if wanted >= least:
             return wanted, []
-        return least, [f"limit raised from {wanted:.4g} mm to keep to {self.settings.max_triangles} triangles"]
+        return least, [
+            f"limit raised from {wanted:.4g} mm to keep to {self.settings.max_triangles} triangles"
+        ]
 
     def _mesh(self, model: GmshModel | ClosedForm, rung: str, limit: float) -> Mesh:
         if isinstance(model, GmshModel) and rung != "tessellation":
@@ -237,7 +237,7 @@ class _Limited:
     def __init__(self, file: Any, most: int) -> None:
         self.file, self.left = file, most
 
-    def read(self, size: int) -> bytes:
+    def read(self, size: int = -1, /) -> bytes:
         data: bytes = self.file.read(size)
         self.left -= len(data)
         if self.left < 0:

@@ -132,7 +132,9 @@ class Table:
             if value is None:
                 arrays.append(pa.nulls(length, column.type))
             else:
-                arrays.append(value if isinstance(value, pa.Array) else pa.array(value, column.type))
+                arrays.append(
+                    value if isinstance(value, pa.Array) else pa.array(value, column.type)
+                )
         return self.checked(pa.Table.from_arrays(arrays, schema=self.schema))
 
     def checked(self, table: pa.Table) -> pa.Table:

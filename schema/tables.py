@@ -83,17 +83,23 @@ MODELS = Table(
         Column("n_added_pcurves", _I32, "pcurves that the file lacks and that were computed"),
         Column("is_closed", _BOOL, "has patches, and no curve is a boundary"),
         Column("is_single_primitive", _BOOL, "one box, cylinder, cone, sphere, torus or plane"),
-        Column("mesh_kind", _STR, "uniform, adaptive or tessellation; null without mesh", nullable=True),
+        Column(
+            "mesh_kind", _STR, "uniform, adaptive or tessellation; null without mesh", nullable=True
+        ),
         Column("mesh_limit", _F64, "edge length asked for", "mm", nullable=True),
         Column("n_vertices", _I32, "number of mesh vertices", nullable=True),
-        Column("n_normals", _I32, "number of (vertex, patch) pairs, rows of vertices", nullable=True),
+        Column(
+            "n_normals", _I32, "number of (vertex, patch) pairs, rows of vertices", nullable=True
+        ),
         Column("n_faces", _I32, "number of triangles", nullable=True),
         Column("max_edge", _F64, "longest mesh edge", "mm", nullable=True),
         Column("min_angle", _F64, "smallest triangle angle", "rad", nullable=True),
         Column("regular_angles", _F64, "share of angles between 30 and 90 degrees", nullable=True),
         Column("is_watertight", _BOOL, "every mesh edge has exactly two triangles", nullable=True),
         Column("n_boundary_edges", _I32, "mesh edges with one triangle", nullable=True),
-        Column("n_nonmanifold_edges", _I32, "mesh edges with three or more triangles", nullable=True),
+        Column(
+            "n_nonmanifold_edges", _I32, "mesh edges with three or more triangles", nullable=True
+        ),
         Column("mesh_note", _STR, "why the mesh is not as asked for", nullable=True),
         Column(
             "fingerprint",
@@ -152,7 +158,13 @@ def _curve_geometry() -> tuple[Column, ...]:
     points = pa.list_(VEC3)
     return (
         Column("type", _STR, "one of " + ", ".join(CURVE_TYPES)),
-        Column("location", VEC3, "origin of the line; centre or vertex of the conic", "mm", nullable=True),
+        Column(
+            "location",
+            VEC3,
+            "origin of the line; centre or vertex of the conic",
+            "mm",
+            nullable=True,
+        ),
         Column("direction", VEC3, "unit direction of the line", nullable=True),
         Column("x_axis", VEC3, "first axis of the conic", nullable=True),
         Column("y_axis", VEC3, "second axis of the conic", nullable=True),
@@ -169,7 +181,12 @@ def _curve_geometry() -> tuple[Column, ...]:
         Column("periodic", _BOOL, "the B-spline is periodic", nullable=True),
         Column("continuity", _I32, "order of continuity of the B-spline; 99 is CN", nullable=True),
         Column("poles", points, "control points of the B-spline", "mm", nullable=True),
-        Column("knots", pa.list_(_F64), "knots, multiplicity expanded (OCCT KnotSequence)", nullable=True),
+        Column(
+            "knots",
+            pa.list_(_F64),
+            "knots, multiplicity expanded (OCCT KnotSequence)",
+            nullable=True,
+        ),
         Column("weights", pa.list_(_F64), "weights; null if not rational", nullable=True),
     )
 
@@ -217,7 +234,12 @@ PATCHES = Table(
         Column("poles", pa.list_(pa.list_(VEC3)), "control points, u first", "mm", nullable=True),
         Column("u_knots", pa.list_(_F64), "knots in u, multiplicity expanded", nullable=True),
         Column("v_knots", pa.list_(_F64), "knots in v, multiplicity expanded", nullable=True),
-        Column("weights", pa.list_(pa.list_(_F64)), "weights, u first; null if not rational", nullable=True),
+        Column(
+            "weights",
+            pa.list_(pa.list_(_F64)),
+            "weights, u first; null if not rational",
+            nullable=True,
+        ),
         Column("u_min", _F64, "least u of the trimmed patch"),
         Column("u_max", _F64, "greatest u of the trimmed patch"),
         Column("v_min", _F64, "least v of the trimmed patch"),
@@ -248,10 +270,20 @@ CURVES = Table(
         Column("right_patch", _I32, "patch whose loop runs against the curve", nullable=True),
         Column("n_patches", _I32, "number of distinct patches at the curve"),
         Column("kind", _STR, "sharp, smooth, seam, boundary, nonmanifold, degenerate or free"),
-        Column("angle_min", _F64, "least angle between the two outward normals", "rad", nullable=True),
-        Column("angle_max", _F64, "greatest angle between the two outward normals", "rad", nullable=True),
+        Column(
+            "angle_min", _F64, "least angle between the two outward normals", "rad", nullable=True
+        ),
+        Column(
+            "angle_max",
+            _F64,
+            "greatest angle between the two outward normals",
+            "rad",
+            nullable=True,
+        ),
         Column("convexity", _STR, "convex, concave or mixed; null where smooth", nullable=True),
-        Column("stored_continuity", _STR, "continuity recorded in the file: C0, G1 ...", nullable=True),
+        Column(
+            "stored_continuity", _STR, "continuity recorded in the file: C0, G1 ...", nullable=True
+        ),
         Column("sharp", _BOOL, "sharp by ABC's rule (|n0.n1| <= 0.95)"),
         Column("vert_indices", pa.list_(_I32), "mesh vertices along the curve", nullable=True),
         Column("vert_parameters", pa.list_(_F64), "their parameters t", nullable=True),
@@ -303,7 +335,13 @@ VERTICES = Table(
         Column("nz", _F64, "outward unit normal", nullable=True),
         Column("u", _F64, "parameter on the patch"),
         Column("v", _F64, "parameter on the patch"),
-        Column("k_min", _F64, "least principal curvature, positive towards the normal", "1/mm", nullable=True),
+        Column(
+            "k_min",
+            _F64,
+            "least principal curvature, positive towards the normal",
+            "1/mm",
+            nullable=True,
+        ),
         Column("k_max", _F64, "greatest principal curvature", "1/mm", nullable=True),
         Column("d_min", VEC3, "unit direction of k_min", nullable=True),
         Column("d_max", VEC3, "unit direction of k_max", nullable=True),
@@ -341,8 +379,12 @@ FAILURES = Table(
         Column("collection", _STR, "as in models"),
         Column("name", _STR, "as in models"),
         Column("path", _STR, "path of the file as it was given"),
-        Column("bytes", _I64, "size of the file; null if it could not be read", "byte", nullable=True),
-        Column("sha256", _STR, "SHA-256 of the bytes; null if they could not be read", nullable=True),
+        Column(
+            "bytes", _I64, "size of the file; null if it could not be read", "byte", nullable=True
+        ),
+        Column(
+            "sha256", _STR, "SHA-256 of the bytes; null if they could not be read", nullable=True
+        ),
         Column("stage", _STR, "plan, read, load, brep, import, mesh, truth or write"),
         Column("kind", _STR, "stable code of the failure"),
         Column("message", _STR, "what went wrong and what helps"),
@@ -357,7 +399,6 @@ FAILURES = Table(
 )
 
 TABLES: Final[dict[str, Table]] = {
-    t.name: t
-    for t in (MODELS, PARTS, PATCHES, CURVES, COEDGES, CORNERS, VERTICES, FACES, FAILURES)
+    t.name: t for t in (MODELS, PARTS, PATCHES, CURVES, COEDGES, CORNERS, VERTICES, FACES, FAILURES)
 }
 """All tables by name."""

@@ -91,9 +91,9 @@ def box_curves(identity: int, size: Any) -> tuple[list[dict[str, Any]], list[dic
             at[others] = sides
             end = at + np.eye(3, dtype=int)[axis]
             left, right = (2 * a + s for a, s in zip(others, sides, strict=True))
-            place = dict(model_id=identity, curve_id=len(curves))
+            spot = dict(model_id=identity, curve_id=len(curves))
             curves.append(
-                place
+                spot
                 | dict(
                     type="Line", location=vec(at * size), direction=vec(np.eye(3)[axis]),
                     t_min=0.0, t_max=float(size[axis]), length=float(size[axis]), tolerance=1e-7,
@@ -103,7 +103,7 @@ def box_curves(identity: int, size: Any) -> tuple[list[dict[str, Any]], list[dic
                 )
             )  # fmt: skip
             coedges += [
-                place | dict(patch_id=p, loop=0, order=0, reversed=p == right)
+                spot | dict(patch_id=p, loop=0, place=0, reversed=p == right)
                 for p in (left, right)
             ]
     return curves, coedges

@@ -1,4 +1,4 @@
-"""What does ingest cost, model by model and stage by stage?
+"""Print what ingest costs, model by model and stage by stage.
 
 Run it as ``python -m breplake.bench.speed.ingest FOLDER``. It ingests the folder at the
 paper's setting (edges of 1 % of the bounding box diagonal) into a temporary lake, and prints

@@ -5,12 +5,12 @@ from typing import Any
 import cadquery as cq
 
 from .bearings import BRASS, DARK, STEEL
-from .fasteners import hexagon_head
 from .gears import spur
 from .housings import box
 from .outlines import around, bolt_circle, disc, joined, ring, rod, turned, without
 from .pipes import flange
 from .registry import part
+from .threads import hexagon_head
 
 RED = cq.Color(0.75, 0.16, 0.14)
 BLUE = cq.Color(0.16, 0.34, 0.66)

@@ -5,7 +5,7 @@ from typing import Any
 
 import cadquery as cq
 
-from .outlines import around, disc, involute_gear, ring, rod, turned, without
+from .outlines import around, bolt_circle, disc, involute_gear, rod, turned, without
 from .registry import part
 
 
@@ -41,8 +41,11 @@ def _bevel() -> Any:
 
 @part("gear_ring", "Internal ring gear of 24 involute teeth with eight bolt holes")
 def _ring_gear() -> Any:
-    body = ring(44, 20, 12).cut(spur(2.5, 24, 12))
-    return body.faces(">Z").workplane().polarArray(39.5, 0, 360, 8).hole(4.5)
+    up = cq.Vector(0, 0, 1)
+    rim = cq.Wire.makeCircle(44, cq.Vector(), up)
+    holes = [cq.Wire.makeCircle(2.25, cq.Vector(x, y), up) for x, y in bolt_circle(39.5, 8)]
+    face = cq.Face.makeFromWires(rim, [involute_gear(2.5, 24), *holes])
+    return cq.Workplane(obj=cq.Solid.extrudeLinear(face, 12 * up))
 
 
 @part("gear_rack", "Rack of nine straight teeth with two fixing holes")
@@ -60,16 +63,17 @@ def _rack() -> Any:
     return body.cut(side.circle(2.5).extrude(-16))
 
 
-@part("sprocket", "Chain sprocket of 16 teeth with rounded seats")
+@part("sprocket", "Chain sprocket of 14 teeth with rounded seats")
 def _sprocket() -> Any:
-    pitch, teeth, roller = 12.7, 16, 4.3
+    pitch, teeth, roller = 12.7, 14, 4.3
     radius = pitch / (2 * sin(pi / teeth))
     body = turned([
         (0, -2.5), (radius, -2.5), (radius + 3.5, -1), (radius + 3.5, 1), (radius, 2.5), (0, 2.5),
     ])  # fmt: skip
-    body = without(body, around(rod((radius, 0, -4), (radius, 0, 4), roller), teeth))
-    body = without(body, around(rod((22, 0, -4), (22, 0, 4), 4), 6))
-    return body.union(disc(16, 20, -2.5)).cut(disc(8, 50, -20))
+    seats = around(rod((radius, 0, -4), (radius, 0, 4), roller), teeth)
+    windows = around(rod((20, 0, -4), (20, 0, 4), 3), 6)
+    body = without(body, [*seats, *windows])
+    return body.union(disc(15, 20, -2.5)).cut(disc(8, 50, -20))
 
 
 @part("geneva_wheel", "Geneva wheel of six slots")

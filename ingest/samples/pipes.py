@@ -89,9 +89,9 @@ def serpentine(bends: int, pitch: float, length: float, radius: float) -> Any:
     return cq.Workplane("YZ").circle(radius).circle(radius - 1).sweep(path)
 
 
-@part("condenser_coil", "Serpentine condenser coil: 18 half turns, 36 torus faces")
+@part("condenser_coil", "Serpentine condenser coil: 16 half turns, 32 torus faces")
 def _condenser() -> Any:
-    return serpentine(18, 16, 120, 5)
+    return serpentine(16, 16, 120, 5)
 
 
 def _wave(wall: float, count: int) -> list[tuple[float, float, float]]:
@@ -99,7 +99,7 @@ def _wave(wall: float, count: int) -> list[tuple[float, float, float]]:
 
     ``wall`` is the distance from the middle of the sheet, positive outward.
     """
-    arcs = []
+    arcs: list[tuple[float, float, float]] = []
     for i in range(count):
         root, crest = 2 - wall, 2 + wall
         arcs.append((8 * i + 4 - crest, 26, crest))

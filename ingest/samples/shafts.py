@@ -85,15 +85,15 @@ def _camshaft() -> Any:
     return body.faces(">Z or <Z").edges().chamfer(0.8)
 
 
-@part("crankshaft", "Crankshaft of four throws with counterweights")
+@part("crankshaft", "Crankshaft of three throws with counterweights")
 def _crankshaft() -> Any:
     pieces = []
-    for i, side in enumerate((1, -1, -1, 1)):
+    for i, side in enumerate((1, -1, 1)):
         z = 48 * i
         web = cq.Workplane("XY").ellipse(22, 34).extrude(9).translate((0, 6.0 * side, z))
         pieces += [web, web.translate((0, 0, 25)), disc(13, 14, z + 34)]
         pieces.append(rod((0, 20 * side, z + 9), (0, 20 * side, z + 25), 10))
-    body = joined(disc(13, 24, -24), [*pieces, disc(28, 6, 192)])
+    body = joined(disc(13, 24, -24), [*pieces, disc(28, 6, 144)])
     return body.faces(">Z").workplane().polarArray(21, 0, 360, 6).hole(6)
 
 

@@ -77,9 +77,9 @@ def _nut() -> Any:
 
 @part("lead_screw", "Lead screw with a square thread and turned journals")
 def _lead_screw() -> Any:
-    thread = ridge(8, 5, 10, [(-0.5, -1.25), (2.5, -1.25), (2.5, 1.25), (-0.5, 1.25)])
-    core = turned([(0, -24), (5, -24), (6, -23), (6, -6), (8, -6), (8, 60), (6, 60), (6, 80),
-                   (5, 81), (0, 81)])  # fmt: skip
+    thread = ridge(8, 5, 7, [(-0.5, -1.25), (2.5, -1.25), (2.5, 1.25), (-0.5, 1.25)])
+    core = turned([(0, -24), (5, -24), (6, -23), (6, -6), (8, -6), (8, 44), (6, 44), (6, 64),
+                   (5, 65), (0, 65)])  # fmt: skip
     return core.union(thread.translate((0, 0, 2)))
 
 

@@ -63,6 +63,25 @@ def _distance(view: ModelView) -> Floats:
     return np.asarray(np.linalg.norm(view.surface.point - view.points, axis=1))
 
 
+@model_rule(
+    "range",
+    "(u, v) lies in the range of its patch; where the surface is periodic, any period will do",
+    limit="1e-4 x range",
+    share=0.001,
+    needs=_NEEDS,
+)
+def parameter_range(view: ModelView) -> Iterator[Measure]:
+    """Measure how far u and v are outside, as a share of the range."""
+    patch = view.ints("vertices", "patch_id")
+    for name in "uv":
+        low, high = (view.floats("patches", f"{name}_{end}")[patch] for end in ("min", "max"))
+        rows = np.flatnonzero(~view.flags("patches", f"{name}_periodic")[patch])
+        value = view.floats("vertices", name)
+        beyond = np.maximum(np.maximum(low - value, value - high), 0.0)
+        share = beyond[rows] / np.maximum(high - low, 1e-300)[rows]
+        yield Measure(share, 1e-4, _row(view, rows))
+
+
 @model_rule("unit-normal", "normals are unit vectors", limit="1e-12")
 def unit_normal(view: ModelView) -> Iterator[Measure]:
     """Measure how far the lengths of normals are from 1."""

@@ -74,9 +74,7 @@ def test_cone(ingest_shape):
         column = record.tables["vertices"].column(name).is_null().to_numpy()
         np.testing.assert_array_equal(column[side], apex)
     expected = -np.cos(half_angle) / radius[~apex]
-    np.testing.assert_allclose(
-        record.column("vertices", "k_min")[side][~apex], expected, rtol=1e-9
-    )
+    np.testing.assert_allclose(record.column("vertices", "k_min")[side][~apex], expected, rtol=1e-9)
     np.testing.assert_allclose(record.normals[side][~apex][:, 2], math.sin(half_angle), atol=1e-12)
 
 
@@ -155,9 +153,7 @@ def test_scaling_scales_curvature(ingest_shape):
     scale.SetScale(gp_Pnt(0, 0, 0), 25.4)
     record = ingest_shape(transformed(part(), scale))
     dome = by_type(record, "Sphere")
-    np.testing.assert_allclose(
-        record.column("vertices", "k_min")[dome] * 25.4, -1 / 8, rtol=1e-12
-    )
+    np.testing.assert_allclose(record.column("vertices", "k_min")[dome] * 25.4, -1 / 8, rtol=1e-12)
     assert record.model["volume"] == pytest.approx(part().Volume() * 25.4**3, rel=1e-9)
 
 

@@ -238,6 +238,8 @@ CASES: list[tuple[str, str, Callable[[Rows], Any], str]] = [
     ("solid-volume", "box", shell_with_volume, ""),
     ("position", "cylinder", move_vertex, ""),
     ("residual", "cylinder", inside(0, residual=1e-3), ""),
+    ("range", "saddle", on("patches", 0, u_max=0.9), ""),
+    ("range", "cylinder", on("patches", 0, v_min=0.5), ""),
     ("unit-normal", "cylinder", stretch_normal, ""),
     ("normal", "cylinder", lambda r: turn_normal(r, 3e-9), ""),
     ("normal", "torus", lambda r: turn_normal(r, math.pi), ""),

@@ -107,9 +107,7 @@ class _Bar:
         elapsed = self.bar.tasks[0].elapsed or 0.0
         rate = f"{60 * done / elapsed:.0f}/min" if done and elapsed else ""
         failed = f"{summary.n_fatal} failed" if summary.n_fatal else ""
-        self.bar.update(
-            self.task, total=len(plan.new), completed=done, rate=rate, failed=failed
-        )
+        self.bar.update(self.task, total=len(plan.new), completed=done, rate=rate, failed=failed)
 
 
 def _report(out: Console, summary: Summary, lake: Path) -> None:
