@@ -6,6 +6,7 @@ are batched by entity: one Python call evaluates a whole patch.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,6 +32,9 @@ _Ints = npt.NDArray[np.int64]
 
 _VANISHING: Final = 1e-9
 """A derivative this much shorter than usual on its patch is zero but for rounding."""
+
+_LONG: Final = re.compile(r"-?\d+\.\d{12,}(?:e[+-]?\d+)?")
+"""A number of more digits than `_round` keeps."""
 
 _OPTIONS: Final = {
     "General.Terminal": 0,
@@ -97,6 +101,8 @@ class GmshModel:
         try:
             with KERNEL():
                 BRepTools.Write_s(brep.canonical.compound, str(path))
+            _round(path)
+            with KERNEL():
                 gmsh.model.occ.importShapes(str(path), highestDimOnly=False, format="brep")
                 gmsh.model.occ.synchronize()
         except Exception as error:  # gmsh raises plain Exception for everything
@@ -240,6 +246,16 @@ class GmshModel:
                 values = self.gmsh.model.getValue(2, patch_id + 1, uv)
             point[rows] = np.reshape(values, (-1, 3))
         return point
+
+
+def _round(path: Path) -> None:
+    """Round the numbers of a BREP file to 14 digits.
+
+    The mesher decides ties by the last bit, which differs between a part in inches and the
+    same part in millimetres. Geometry moves by less than 1e-13 of its size.
+    """
+    text = path.read_text()
+    path.write_text(_LONG.sub(lambda found: f"{float(found[0]):.14g}", text))
 
 
 class ClosedForm:

@@ -23,6 +23,9 @@ _Floats = npt.NDArray[np.float64]
 _Ints = npt.NDArray[np.int64]
 _Bools = npt.NDArray[np.bool_]
 
+_DIGITS: Final = 9
+"""Decimals to which lengths are compared."""
+
 _ROUNDS: Final = 30
 """Each round halves the longest edges, so thirty reach any limit above rounding."""
 
@@ -94,11 +97,12 @@ def refine(mesh: Mesh, geometry: Geometry, periods: Periods, limit: float, most:
     frozen = np.empty(0, dtype=np.int64)  # edges whose middle is not where it should be
     for _ in range(_ROUNDS):
         edges, of_triangle, _ = unique_edges(mesh.triangles)
-        lengths = edge_lengths(mesh.points, edges)
+        # Rounded, so that equal edges stay equal: the last bit must not decide a mesh.
+        lengths = np.round(edge_lengths(mesh.points, edges) / limit, _DIGITS)
         free = ~np.isin(_keys(edges), frozen)
-        if not (free & (lengths > limit)).any():
+        if not (free & (lengths > 1)).any():
             break
-        split = _propagate(free & (lengths > limit), free, lengths, of_triangle)
+        split = _propagate(free & (lengths > 1), free, lengths, of_triangle)
         if len(mesh.triangles) + 2 * int(split.sum()) > most:
             break
         done = _Split(mesh, geometry, periods, edges, of_triangle, split)
@@ -260,7 +264,8 @@ class _Split:
             two = np.flatnonzero((n_split == 2) & (ca < 0))
             emit(two, [ab[two], b[two], bc[two]])
             # The rest is a quadrilateral a, ab, bc, c: cut along its shorter diagonal.
-            first = _lengths(points, a[two], bc[two]) <= _lengths(points, ab[two], c[two])
+            ratio = _lengths(points, a[two], bc[two]) / _lengths(points, ab[two], c[two])
+            first = np.round(ratio, _DIGITS) <= 1
             x, y = two[first], two[~first]
             emit(x, [a[x], ab[x], bc[x]])
             emit(x, [a[x], bc[x], c[x]])

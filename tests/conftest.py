@@ -103,8 +103,7 @@ def box_curves(identity: int, size: Any) -> tuple[list[dict[str, Any]], list[dic
                 )
             )  # fmt: skip
             coedges += [
-                spot | dict(patch_id=p, loop=0, place=0, reversed=p == right)
-                for p in (left, right)
+                spot | dict(patch_id=p, loop=0, place=0, reversed=p == right) for p in (left, right)
             ]
     return curves, coedges
 
