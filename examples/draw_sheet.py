@@ -17,7 +17,14 @@ LIMIT = 48  # pictures on the sheet
 def main(path: Path, picture: Path = Path("models.png")) -> None:
     lake = breplake.open(path)
     rows = lake.sql(
-        "SELECT name FROM models WHERE n_faces > 0 ORDER BY n_patches, name LIMIT $limit",
+        """
+        SELECT min_by(name, (n_patches, name))  -- the first of each class of complexity
+        FROM (
+            SELECT name, n_patches, ntile($limit) OVER (ORDER BY n_patches, name) AS class
+            FROM models WHERE n_faces > 0
+        )
+        GROUP BY class ORDER BY class
+        """,
         {"limit": LIMIT},
     ).fetchall()
     draw_sheet(lake, [name for (name,) in rows], picture)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import shutil
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -53,8 +53,7 @@ def write_shard(store: LakeStore, results: Sequence[Result], config_hash: str) -
     config_hash : str
         Of the settings.
     """
-    name = shard_name(results, config_hash)
-    _remove_orphans(store, name)
+    name = _fresh_name(store, shard_name(results, config_hash))
     ordered = sorted(results, key=lambda result: result.input.model_id)
     recorded = [result for result in ordered if result.recorded]
     rows = [_finished(result, name) for result in recorded]
@@ -76,15 +75,25 @@ def write_shard(store: LakeStore, results: Sequence[Result], config_hash: str) -
     return store.register_shard(name)
 
 
-def _remove_orphans(store: LakeStore, name: str) -> None:
-    head = store.head()
-    known = {entry.path for entry in head.files} if head else set()
-    for table in TABLES:
-        path = Path("tables") / table / f"{name}.parquet"
-        if path.as_posix() not in known:
-            (store.root / path).unlink(missing_ok=True)
-    if f"arrays/{name}.zarr" not in known:
-        shutil.rmtree(store.root / "arrays" / f"{name}.zarr", ignore_errors=True)
+def _fresh_name(store: LakeStore, name: str) -> str:
+    """Return `name`, or `name` with a number if a snapshot has files of that name already.
+
+    Files that no snapshot names are what an interrupted run left; they make room.
+    """
+    for number in itertools.count(1):
+        candidate = name if number == 1 else f"{name}-{number}"
+        paths = [f"tables/{table}/{candidate}.parquet" for table in TABLES]
+        paths.append(f"arrays/{candidate}.zarr")
+        there = {path for path in paths if (store.root / path).exists()}
+        if not there:
+            return candidate
+        named = {f.path for n in store.numbers() for f in store.snapshot(n).files}
+        if not there & named:
+            for path in there:
+                target = store.root / path
+                shutil.rmtree(target) if target.is_dir() else target.unlink()
+            return candidate
+    raise AssertionError("unreachable: count() does not end")
 
 
 def _finished(result: Result, shard: str) -> Row:

@@ -103,6 +103,7 @@ class _Model:
         self.input, self.settings, self.spool = task.input, task.settings, task.spool
         self.id = task.input.model_id
         self.row: Row = {}
+        self.opposed = 0
         self.tables: dict[str, pa.Table] = {}
 
     def run(self) -> None:
@@ -196,6 +197,8 @@ class _Model:
             longest = self.row["max_edge"] / limit
             if longest > _HONOURED:
                 notes.append(f"longest edge is {longest:.3g} times the limit")
+            if self.opposed:
+                notes.append(f"{self.opposed} triangles oppose their normals: finer edges may help")
             self.row["mesh_note"] = "; ".join(notes) or None
             self._write()
             return
@@ -222,7 +225,7 @@ class _Model:
     def _truth(self, model: GmshModel | ClosedForm, mesh: Mesh, limit: float) -> None:
         flipped = np.array([row["reversed"] for row in model.brep.patches], dtype=bool)
         mesh, truth = derive(mesh, model, self.periods, flipped, self.row["diagonal"])
-        mesh, _ = wind(mesh, truth)
+        mesh, self.opposed = wind(mesh, truth)
         columns = mesh_columns(mesh)
         if columns["max_edge"] > _HOPELESS * limit:
             detail = f"curves and surfaces lie up to {truth.residual.max():.3g} mm apart"

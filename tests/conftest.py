@@ -9,6 +9,7 @@ and mesh are known by hand.
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -235,3 +236,33 @@ def own_lake(tmp_path: Path) -> Path:
 def new_shard():
     """The function that writes a shard of boxes: ``new_shard(store, "s2", {"a": (1, 2, 3)})``."""
     return write_shard
+
+
+SAMPLES = (
+    *("bellows", "spindle_grip", "base_plate_inch", "base_plate_mm", "trough_parabolic"),
+    *("cooling_tower", "bottle", "nozzle_nurbs", "panel_offset", "flange_joint", "hinge"),
+    *("ball_steel", "weight_lemon", "plumb_bob", "gear_spur", "spring_compression", "mug"),
+    *("duct_surface", "shelf_brackets", "gasket_wave", "screw_countersunk", "handwheel"),
+)
+"""Sample parts that together have every type of patch and curve, two with many tori."""
+
+
+@pytest.fixture(scope="session")
+def sample_lake(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A lake ingested from sample parts, coarsely meshed; made once for all workers."""
+    pytest.importorskip("OCP")
+    from filelock import FileLock
+
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base
+    lake = shared / "sample_lake"
+    with FileLock(shared / "sample_lake.lock"):
+        if not (shared / "sample_lake.done").exists():
+            from breplake.ingest.run import ingest
+            from breplake.ingest.samples import write_samples
+            from breplake.ingest.settings import Settings
+
+            write_samples(shared / "samples", SAMPLES)
+            ingest([shared / "samples"], lake, settings=Settings(max_edge=0.02), message="samples")
+            (shared / "sample_lake.done").touch()
+    return lake
