@@ -55,11 +55,15 @@ class StageClock:
         self.cpu: dict[str, float] = {}
         self.current = "read"
 
+    def begin(self, name: str, detail: str = "") -> None:
+        """Tell the observer that a stage begins."""
+        self.current = name
+        self.observer(f"{name}:{detail}")
+
     @contextmanager
     def stage(self, name: str, detail: str = "") -> Iterator[None]:
         """Run a block as the stage `name`, which may be entered again."""
-        self.current = name
-        self.observer(f"{name}:{detail}")
+        self.begin(name, detail)
         start = time.process_time()
         try:
             yield

@@ -13,7 +13,7 @@ from breplake.errors import UsageError
 from breplake.ingest.failure import Failure, advise
 from breplake.schema.identity import model_id
 
-__all__ = ["FORMATS", "Input", "find_inputs"]
+__all__ = ["FORMATS", "Input", "find_inputs", "printable"]
 
 FORMATS: Final[dict[str, str]] = {
     ".step": "step",
@@ -142,7 +142,7 @@ def _stem(relative: Path) -> str:
 
 def _input(path: Path, collection: str, name: str, format: str) -> Input:
     """Read the file once for size and hash, and notice what cannot be tried."""
-    name = name.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+    name = printable(name)
     if not path.is_file():
         what = "this is a folder" if path.is_dir() else "this is no regular file"
         failure = Failure("plan", "not-a-file", advise("not-a-file", what), fatal=True)
@@ -157,3 +157,8 @@ def _input(path: Path, collection: str, name: str, format: str) -> Input:
         return Input(path, collection, name, format, failure=failure)
     empty = Failure("plan", "empty-file", advise("empty-file", ""), fatal=True)
     return Input(path, collection, name, format, size, digest, None if size else empty)
+
+
+def printable(path: Path | str) -> str:
+    """Return a path as text that UTF-8 columns can hold."""
+    return str(path).encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")

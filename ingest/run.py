@@ -19,6 +19,7 @@ from breplake.ingest.inputs import Input, find_inputs
 from breplake.ingest.pool import Result, discard, run_models
 from breplake.ingest.settings import Settings
 from breplake.ingest.shard import SHARD_MODELS, write_shard
+from breplake.ingest.versions import versions
 from breplake.schema.lake import LakeStore
 from breplake.schema.snapshot import Snapshot
 
@@ -159,6 +160,7 @@ def ingest(
     if jobs < 1:
         raise UsageError(f"jobs must be at least 1; got {jobs}")
     started = time.monotonic()
+    tools = _tools()
     inputs = find_inputs([Path(source) for source in sources], collection)
     store = LakeStore.open_or_create(lake)
     todo = plan(store, inputs, settings)
@@ -178,7 +180,7 @@ def ingest(
         for shard in _shards(todo.new, counted()):
             files = write_shard(store, shard, settings.config_hash)
             summary.snapshot = store.commit(
-                files, message=text, tools=_tools(), config_hash=settings.config_hash
+                files, message=text, tools=tools, config_hash=settings.config_hash
             )
             for result in shard:
                 discard(result)
@@ -201,7 +203,4 @@ def _shards(inputs: Sequence[Input], results: Iterable[Result]) -> Iterator[list
 
 
 def _tools() -> dict[str, str]:
-    from breplake.ingest.worker import versions
-
-    found = {name.removesuffix("_version"): value for name, value in versions().items()}
-    return found | {"python": platform.python_version(), "pyarrow": pa.__version__}
+    return versions() | {"python": platform.python_version(), "pyarrow": pa.__version__}

@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from breplake.ingest.geometry import Row
+from breplake.ingest.inputs import printable
 from breplake.ingest.pool import Result
-from breplake.ingest.worker import printable
 from breplake.schema.arrays import ArrayShardWriter
 from breplake.schema.contract import Table
 from breplake.schema.lake import LakeStore

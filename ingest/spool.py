@@ -8,17 +8,22 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import pyarrow as pa
 import pyarrow.feather
 
 from breplake.ingest.geometry import Row
 
-__all__ = ["Spool"]
+__all__ = ["LEVELS", "Spool"]
+
+LEVELS: Final = ("brep", "mesh")
+"""Records a model may leave: the exact rows, then those with mesh and ground truth."""
+
+_MODEL: Final = "model.json"
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,28 +52,57 @@ class Spool:
     @property
     def has_record(self) -> bool:
         """Whether at least the exact B-Rep rows are complete."""
-        return (self.folder / "model.json").exists()
+        return self._record is not None
 
-    def write_tables(self, tables: Mapping[str, pa.Table]) -> None:
-        """Write tables under their names, each appearing whole or not at all."""
+    @property
+    def _record(self) -> Path | None:
+        """Folder of the fullest complete record."""
+        found = (self.folder / level for level in reversed(LEVELS))
+        return next((folder for folder in found if (folder / _MODEL).exists()), None)
+
+    def write(self, level: str, tables: Mapping[str, pa.Table], row: Callable[[], Row]) -> None:
+        """Hand over a record; it counts once its row of ``models`` is written, which is last.
+
+        Parameters
+        ----------
+        level : str
+            A member of `LEVELS`. A kill while one is written leaves the one before it.
+        tables : mapping
+            All tables of the record.
+        row : callable
+            Gives the row of ``models`` when the tables are written, whose cost it states.
+        """
+        folder = self.folder / level
+        folder.mkdir(exist_ok=True)
         for name, table in tables.items():
-            target = self.folder / f"{name}.arrow"
-            partial = target.with_suffix(".partial")
-            pa.feather.write_feather(table, partial, compression="lz4")
-            os.replace(partial, target)
-
-    def write_model(self, row: Row) -> None:
-        """Write the row of ``models``, which makes the record complete."""
-        partial = self.folder / "model.partial"
-        partial.write_text(json.dumps(row))
-        os.replace(partial, self.folder / "model.json")
+            pa.feather.write_feather(table, folder / f"{name}.arrow", compression="lz4")
+        partial = folder / "model.partial"
+        partial.write_text(json.dumps(row()))
+        os.replace(partial, folder / _MODEL)
 
     def read_model(self) -> dict[str, Any]:
-        """Read the row of ``models``."""
-        row: dict[str, Any] = json.loads((self.folder / "model.json").read_text())
+        """Read the row of ``models``.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no record.
+        """
+        row: dict[str, Any] = json.loads((self._complete() / _MODEL).read_text())
         return row
 
     def read_table(self, name: str) -> pa.Table | None:
-        """Read a table, or None if the model has none of it."""
-        path = self.folder / f"{name}.arrow"
+        """Read a table, or None if the model has none of it.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is no record.
+        """
+        path = self._complete() / f"{name}.arrow"
         return pa.feather.read_table(path, memory_map=False) if path.exists() else None
+
+    def _complete(self) -> Path:
+        if self._record is None:
+            raise FileNotFoundError(f"{self.folder} holds no record")
+        return self._record

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import shutil
+import time
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +20,7 @@ from breplake.ingest.clock import KERNEL, StageClock, peak_memory
 from breplake.ingest.failure import Failure, advise
 from breplake.ingest.geometry import Row
 from breplake.ingest.heal import add_missing_pcurves
-from breplake.ingest.inputs import Input
+from breplake.ingest.inputs import Input, printable
 from breplake.ingest.kernel import ClosedForm, GmshModel, gmsh_session
 from breplake.ingest.load import Document, load
 from breplake.ingest.measures import duplicate_group
@@ -31,8 +32,9 @@ from breplake.ingest.settings import RUNGS, Settings
 from breplake.ingest.spool import Spool
 from breplake.ingest.tessellation import tessellate
 from breplake.ingest.truth import derive, wind
+from breplake.ingest.versions import versions
 
-__all__ = ["MAX_UNPACKED", "Task", "printable", "silence", "versions", "work"]
+__all__ = ["MAX_UNPACKED", "Task", "silence", "work"]
 
 MAX_UNPACKED: Final = 4 * 2**30
 """Bytes a compressed file may unpack to: far beyond any CAD file, far below a bomb."""
@@ -78,19 +80,20 @@ def work(task: Task) -> list[Failure]:
     failures: list[Failure] = []
     try:
         _Model(task, clock, failures).run()
-    except InputError as error:
-        failures.append(_failure(clock, error.kind, str(error), not task.spool.has_record))
-    except MemoryError as error:
-        message = advise("memory", str(error))
-        failures.append(_failure(clock, "memory", message, not task.spool.has_record))
     except Exception as error:  # one model's surprise is a row, never the end of a batch
-        kind = {"mesh": "mesh-failed", "truth": "truth-failed"}.get(clock.current, "error")
-        message = advise(kind, f"{type(error).__name__}: {error}")
-        failures.append(_failure(clock, kind, message, not task.spool.has_record))
+        failures.append(_failure(clock, error, fatal=not task.spool.has_record))
     return failures
 
 
-def _failure(clock: StageClock, kind: str, message: str, fatal: bool) -> Failure:
+def _failure(clock: StageClock, error: Exception, *, fatal: bool) -> Failure:
+    """Turn what went wrong in the current stage into a failure."""
+    if isinstance(error, InputError):
+        kind, message = error.kind, str(error)
+    elif isinstance(error, MemoryError):
+        kind, message = "memory", advise("memory", str(error))
+    else:
+        kind = {"mesh": "mesh-failed", "truth": "truth-failed"}.get(clock.current, "error")
+        message = advise(kind, f"{type(error).__name__}: {error}")
     seconds = clock.columns()["seconds"]
     return Failure(clock.current, kind, message, fatal, seconds=seconds, peak_memory=peak_memory())
 
@@ -113,7 +116,7 @@ class _Model:
             document = load(path, self.input.format)
         with self.clock.stage("brep"):
             brep = self._brep(document)
-        self._write()
+        self._write("brep")
         with self.clock.stage("mesh"):
             if not brep.patches:
                 raise InputError("no-patches", advise("no-patches", ""))
@@ -158,14 +161,19 @@ class _Model:
             "duplicate_group": duplicate_group(columns["fingerprint"], str(source.sha256)),
             "config_hash": self.settings.config_hash,
             **columns,
-            **versions(),
+            **{f"{name}_version": value for name, value in versions().items()},
         }
         return brep
 
-    def _write(self) -> None:
-        with self.clock.stage("write"):
-            self.spool.write_tables(self.tables)
-        self.spool.write_model(self.row | self.clock.columns())
+    def _write(self, level: str) -> None:
+        start = time.process_time()
+
+        def row() -> Row:
+            self.clock.cpu["write"] = self.clock.cpu.get("write", 0.0) + time.process_time() - start
+            return self.row | self.clock.columns()
+
+        self.clock.begin("write", level)
+        self.spool.write(level, self.tables, row)
 
     def _add_mesh(self, gmsh: Any, brep: Brep) -> None:
         """Climb down the ladder of meshes until one succeeds."""
@@ -176,7 +184,7 @@ class _Model:
             with self.clock.stage("import"):
                 model = GmshModel(gmsh, brep, self.spool.folder)
         except InputError as error:
-            self.failures.append(_failure(self.clock, error.kind, str(error), False))
+            self.failures.append(_failure(self.clock, error, fatal=False))
             with self.clock.stage("import"):
                 model = ClosedForm(brep, self.tables)
             rungs = ladder[-1:]
@@ -187,8 +195,8 @@ class _Model:
                     mesh = self._mesh(model, rung, limit)
                 with self.clock.stage("truth", rung):
                     self._truth(model, mesh, limit)
-            except InputError as error:
-                self.failures.append(_failure(self.clock, error.kind, str(error), False))
+            except Exception as error:  # whatever fails here, the next rung may not
+                self.failures.append(_failure(self.clock, error, fatal=False))
                 gmsh.model.mesh.clear()
                 continue
             if rung != ladder[0]:
@@ -200,7 +208,7 @@ class _Model:
             if self.opposed:
                 notes.append(f"{self.opposed} triangles oppose their normals: finer edges may help")
             self.row["mesh_note"] = "; ".join(notes) or None
-            self._write()
+            self._write("mesh")
             return
 
     def _limit(self) -> tuple[float, list[str]]:
@@ -265,29 +273,9 @@ def _periods(brep: Brep) -> Periods:
     return Periods(period, bounds)
 
 
-def printable(path: Path) -> str:
-    """Return a path as text that UTF-8 columns can hold."""
-    return str(path).encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
-
-
 def silence() -> None:
     """Stop OCCT from printing; what matters comes back as failures."""
     from OCP.Message import Message
 
     messenger = Message.DefaultMessenger_s()
     messenger.ChangePrinters().Clear()
-
-
-def versions() -> dict[str, str]:
-    """Return the version columns of ``models``."""
-    import gmsh
-    import OCP
-
-    from breplake import __version__
-
-    occt = getattr(OCP, "__version__", "unknown")
-    return {
-        "occt_version": str(occt),
-        "gmsh_version": str(gmsh.GMSH_API_VERSION),
-        "breplake_version": __version__,
-    }

@@ -116,7 +116,7 @@ MODELS = Table(
         Column("vertex_offset", _I64, "first row in position and feature", nullable=True),
         Column("normal_offset", _I64, "first row in normal, curvature and patch", nullable=True),
         Column("face_offset", _I64, "first row in triangle and its companions", nullable=True),
-        Column("occt_version", _STR, "version of Open CASCADE"),
+        Column("occt_version", _STR, "version of OCP, which begins with that of Open CASCADE"),
         Column("gmsh_version", _STR, "version of Gmsh"),
         Column("breplake_version", _STR, "version of breplake"),
         Column("config_hash", _STR, "hash of the settings that decide the content"),

@@ -53,7 +53,7 @@ def ingest_file(tmp_path_factory):
         (item,) = find_inputs([path])
         spool = Spool(folder)
         failures = work(Task(item, Settings(**{"max_edge": 0.05, **settings}), spool, rung))
-        names = [p.stem for p in folder.glob("*.arrow")]
+        names = {p.stem for p in folder.rglob("*.arrow")}
         model = spool.read_model() if spool.has_record else {}
         return Record(model, {name: spool.read_table(name) for name in names}, failures)
 

@@ -128,7 +128,7 @@ def test_geometry_that_disagrees_ends():
 
     class Astray(Tube):
         def curve_points(self, curve_id, t):
-            return super().curve_points(curve_id, t) + [0, 0, 50.0]
+            return super().curve_points(curve_id, t) + np.array([0, 0, 50.0])
 
     mesh = refine(coarse_tube(), Astray(), PERIODS, 0.2, 10**7)
     edges, _, _ = unique_edges(mesh.triangles)
