@@ -1,0 +1,132 @@
+"""Topology rows of shapes that can be counted by hand."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+
+import numpy as np
+import pytest
+
+pytest.importorskip("OCP")
+
+import cadquery as cq
+
+
+def curves(record):
+    return record.tables["curves"].to_pylist()
+
+
+def test_box(ingest_shape):
+    record = ingest_shape(cq.Solid.makeBox(1, 2, 3))
+    model = record.model
+    assert (model["n_patches"], model["n_curves"], model["n_corners"]) == (6, 12, 8)
+    assert (model["n_plane"], model["n_line"], model["n_sharp_curves"]) == (6, 12, 12)
+    assert (model["volume"], model["area"]) == pytest.approx((6, 22))
+    assert model["diagonal"] == pytest.approx(math.sqrt(14))
+    assert model["is_single_primitive"]
+    assert model["is_closed"]
+    assert model["is_valid"]
+    for row in curves(record):
+        assert (row["kind"], row["convexity"]) == ("sharp", "convex")
+        assert row["angle_min"] == pytest.approx(math.pi / 2)
+        assert row["length"] in (1, 2, 3)
+    assert record.tables["coedges"].num_rows == 24
+
+
+def test_left_is_the_patch_whose_loop_runs_along(ingest_shape):
+    record = ingest_shape(cq.Workplane().box(4, 3, 2).faces(">Z").workplane().hole(1).val())
+    rows = curves(record)
+    for use in record.tables["coedges"].to_pylist():
+        side = "right_patch" if use["reversed"] else "left_patch"
+        row = rows[use["curve_id"]]
+        if row["kind"] != "seam":
+            assert row[side] == use["patch_id"]
+    # On a plane, the loop runs counter-clockwise around the outward normal.
+    for patch in record.tables["patches"].to_pylist():
+        if patch["type"] != "Plane":
+            continue
+        normal = np.cross(*(np.array(list(patch[k].values())) for k in ("x_axis", "y_axis")))
+        normal = -normal if patch["reversed"] else normal
+        area = 0.0
+        for use in record.tables["coedges"].to_pylist():
+            row = rows[use["curve_id"]]
+            if use["patch_id"] == patch["patch_id"]:
+                area += enclosed(record, row, normal) * (-1 if use["reversed"] else 1)
+        assert area == pytest.approx(patch["area"], rel=0.03)
+
+
+def enclosed(record, row, normal):
+    """Area swept about the origin by a curve's mesh vertices, signed by `normal`."""
+    primary = record.column("vertices", "is_primary")
+    order = np.argsort(record.column("vertices", "vertex_id")[primary])
+    points = record.points[primary][order][row["vert_indices"]]
+    return np.cross(points[:-1], points[1:]).sum(axis=0) @ normal / 2
+
+
+def test_inner_corner_is_concave(ingest_shape):
+    bracket = cq.Workplane().box(4, 4, 1).union(cq.Workplane().box(1, 4, 4).translate((0, 0, 1.5)))
+    kinds = Counter(row["convexity"] for row in curves(ingest_shape(bracket.val())))
+    assert kinds["concave"] == 2
+    assert set(kinds) == {"convex", "concave"}
+
+
+def test_fillet_is_smooth(ingest_shape):
+    shape = cq.Workplane().box(4, 4, 2).edges("|Z").fillet(0.5).val()
+    rows = curves(ingest_shape(shape))
+    upright = [r for r in rows if r["type"] == "Line" and r["length"] == pytest.approx(2)]
+    assert len(upright) == 8
+    for row in upright:
+        assert (row["kind"], row["convexity"], row["sharp"]) == ("smooth", None, False)
+        assert row["angle_max"] < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("shape", "expected"),
+    [
+        (cq.Solid.makeCylinder(1, 2), {"sharp": 2, "seam": 1}),
+        (cq.Solid.makeSphere(1, angleDegrees1=-90, angleDegrees2=90), {"seam": 1, "degenerate": 2}),
+        (cq.Solid.makeCone(1, 0, 2), {"sharp": 1, "seam": 1, "degenerate": 1}),
+        (cq.Solid.makeTorus(3, 1), {"seam": 2}),
+        (cq.Face.makePlane(2, 3), {"boundary": 4}),
+    ],
+    ids=["cylinder", "sphere", "cone", "torus", "plane"],
+)
+def test_kinds(ingest_shape, shape, expected):
+    record = ingest_shape(shape)
+    assert Counter(row["kind"] for row in curves(record)) == expected
+    assert record.model["is_single_primitive"]
+    assert record.model["is_closed"] == ("boundary" not in expected)
+
+
+def test_solids_that_share_a_face(ingest_shape):
+    """Two boxes with one face in common: four curves have three patches."""
+    from OCP.BOPAlgo import BOPAlgo_MakerVolume
+
+    maker = BOPAlgo_MakerVolume()
+    for i in range(2):
+        maker.AddArgument(cq.Solid.makeBox(1, 1, 1, cq.Vector(i, 0, 0)).wrapped)
+    maker.SetIntersect(True)
+    maker.Perform()
+    record = ingest_shape(maker.Shape())
+    assert (record.model["n_solids"], record.model["n_patches"]) == (2, 11)
+    assert Counter(row["kind"] for row in curves(record))["nonmanifold"] == 4
+    assert record.model["volume"] == pytest.approx(2)
+    assert record.model["n_nonmanifold_edges"] > 0
+
+
+def test_wire_alone_has_no_mesh(ingest_shape):
+    record = ingest_shape(cq.Wire.makePolygon([(0, 0, 0), (1, 0, 0), (1, 1, 0)]))
+    assert [failure.kind for failure in record.failures] == ["no-patches"]
+    assert not record.failures[0].fatal
+    assert {row["kind"] for row in curves(record)} == {"free"}
+    assert "vertices" not in record.tables
+
+
+def test_instances_are_parts_of_their_own(ingest_shape):
+    box = cq.Solid.makeBox(1, 1, 1)
+    both = cq.Compound.makeCompound([box, box.moved(cq.Location(cq.Vector(5, 0, 0)))])
+    record = ingest_shape(both)
+    assert (record.model["n_parts"], record.model["n_patches"]) == (2, 12)
+    centres = record.structs("parts", "centroid")
+    np.testing.assert_allclose(centres[1] - centres[0], [5, 0, 0], atol=1e-12)
