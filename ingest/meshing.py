@@ -25,7 +25,9 @@ SIZE = 1 / 1.1
 exceed; a little less leaves few edges to split afterwards (``bench/speed/mesh_size.py``)."""
 
 
-def gmsh_mesh(model: GmshModel, limit: float, settings: Settings, kind: str) -> Mesh:
+def gmsh_mesh(
+    model: GmshModel, limit: float, settings: Settings, kind: str, size: float = SIZE
+) -> Mesh:
     """Mesh a model with Gmsh (Frontal-Delaunay).
 
     Parameters
@@ -38,6 +40,8 @@ def gmsh_mesh(model: GmshModel, limit: float, settings: Settings, kind: str) -> 
         ``grading`` and ``per_turn`` shape the adaptive mesh.
     kind : {"uniform", "adaptive"}
         Uniform, or sized by curvature between the two bounds.
+    size : float
+        Element size to ask for, in limits.
 
     Raises
     ------
@@ -48,7 +52,7 @@ def gmsh_mesh(model: GmshModel, limit: float, settings: Settings, kind: str) -> 
     gmsh = model.gmsh
     adaptive = kind == "adaptive"
     least = limit * settings.grading if adaptive else 0.0
-    gmsh.option.setNumber("Mesh.MeshSizeMax", limit * SIZE)
+    gmsh.option.setNumber("Mesh.MeshSizeMax", limit * size)
     gmsh.option.setNumber("Mesh.MeshSizeMin", least)
     gmsh.option.setNumber("Mesh.MeshSizeFromCurvature", settings.per_turn if adaptive else 0)
     gmsh.logger.start()

@@ -13,11 +13,12 @@ from typing import Final, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from breplake.ingest.brep import Brep
 from breplake.ingest.mesh import CurveNodes, Mesh, edge_lengths, unique_edges
 from breplake.schema.jets import SurfaceJet
 from breplake.schema.projection import project_points
 
-__all__ = ["Geometry", "Periods", "refine"]
+__all__ = ["Geometry", "Periods", "refine", "surface_periods"]
 
 _Floats = npt.NDArray[np.float64]
 _Ints = npt.NDArray[np.int64]
@@ -76,6 +77,23 @@ class Periods:
         turns = np.where(np.isfinite(period), np.round((anchor - uv) / finite), 0.0)
         moved: _Floats = uv + turns * finite
         return moved
+
+
+def surface_periods(brep: Brep) -> Periods:
+    """Return the periods and bounds of a model's surfaces, from ``Geom_Surface``."""
+    n = len(brep.surfaces)
+    period, bounds = np.full((n, 2), np.inf), np.tile([-np.inf, np.inf] * 2, (n, 1))
+    for i, surface in enumerate(brep.surfaces):
+        limits = surface.Bounds()
+        closed = (surface.IsUClosed(), surface.IsVClosed())
+        periodic = (surface.IsUPeriodic(), surface.IsVPeriodic())
+        for axis in (0, 1):
+            low, high = limits[2 * axis : 2 * axis + 2]
+            if closed[axis]:
+                period[i, axis] = high - low
+            if not periodic[axis]:
+                bounds[i, 2 * axis : 2 * axis + 2] = low, high
+    return Periods(period, bounds)
 
 
 def refine(mesh: Mesh, geometry: Geometry, periods: Periods, limit: float, most: int) -> Mesh:

@@ -26,7 +26,7 @@ from breplake.ingest.load import Document, load
 from breplake.ingest.measures import duplicate_group
 from breplake.ingest.mesh import Mesh
 from breplake.ingest.meshing import gmsh_mesh
-from breplake.ingest.refine import Periods, refine
+from breplake.ingest.refine import refine, surface_periods
 from breplake.ingest.rows import brep_columns, brep_tables, mesh_columns, mesh_tables
 from breplake.ingest.settings import RUNGS, Settings
 from breplake.ingest.spool import Spool
@@ -227,7 +227,7 @@ class _Model:
             mesh = gmsh_mesh(model, limit, self.settings, rung)
         else:
             mesh = tessellate(model, limit)
-        self.periods = _periods(model.brep)
+        self.periods = surface_periods(model.brep)
         return refine(mesh, model, self.periods, limit, 2 * self.settings.max_triangles)
 
     def _truth(self, model: GmshModel | ClosedForm, mesh: Mesh, limit: float) -> None:
@@ -254,23 +254,6 @@ class _Limited:
         if self.left < 0:
             raise OSError(f"it unpacks to more than {MAX_UNPACKED} bytes")
         return data
-
-
-def _periods(brep: Brep) -> Periods:
-    """Return the periods and bounds of a model's surfaces, from ``Geom_Surface``."""
-    n = len(brep.surfaces)
-    period, bounds = np.full((n, 2), np.inf), np.tile([-np.inf, np.inf] * 2, (n, 1))
-    for i, surface in enumerate(brep.surfaces):
-        limits = surface.Bounds()
-        closed = (surface.IsUClosed(), surface.IsVClosed())
-        periodic = (surface.IsUPeriodic(), surface.IsVPeriodic())
-        for axis in (0, 1):
-            low, high = limits[2 * axis : 2 * axis + 2]
-            if closed[axis]:
-                period[i, axis] = high - low
-            if not periodic[axis]:
-                bounds[i, 2 * axis : 2 * axis + 2] = low, high
-    return Periods(period, bounds)
 
 
 def silence() -> None:

@@ -237,3 +237,24 @@ def test_names_and_sources(tmp_path):
         find_inputs([tmp_path / "b"])
     with pytest.raises(UsageError, match="no CAD file"):
         find_inputs([tmp_path / "a" / "notes.txt"])
+
+
+def test_command(tmp_path):
+    from typer.testing import CliRunner
+
+    from breplake.cli import app
+
+    write_samples(tmp_path / "in", ["ring_o"])
+    (tmp_path / "in" / "empty.step").touch()
+    command = ["ingest", str(tmp_path / "in"), "--lake", str(tmp_path / "lake"), "-j", "1"]
+    first = CliRunner().invoke(app, [*command, "--max-edge", "0.06"])
+    assert first.exit_code == 0, first.output
+    assert "1 models, 1 of them with mesh and ground truth; 1 failed" in first.output
+    assert "empty-file" in first.output
+    again = CliRunner().invoke(app, [*command, "--max-edge", "0.06"])
+    assert (again.exit_code, "nothing is new" in again.output) == (0, True)
+    other = CliRunner().invoke(app, [*command, "--max-edge", "0.05"])
+    assert "2 files not ingested" in other.output
+    wrong = CliRunner().invoke(app, [*command, "--max-edge", "5"])
+    assert wrong.exit_code == 2
+    assert "max_edge must be in (0, 1]" in wrong.output
