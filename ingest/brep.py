@@ -83,7 +83,9 @@ class Brep:
     def bounds(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Return the corners ``(3,)`` mm of the model's bounding box."""
         keys = ("bbox_min", "bbox_max")
-        points = [[part[key][a] for a in "xyz"] for part in self.parts for key in keys]
+        free = [i for i, row in enumerate(self.curves) if row["kind"] == "free"]
+        boxes = [*self.parts, *(_bounds(self.edges[i]) for i in free)]
+        points = [[box[key][a] for a in "xyz"] for box in boxes for key in keys]
         points += [[corner["point"][a] for a in "xyz"] for corner in self.corners]
         return np.min(points, axis=0), np.max(points, axis=0)
 
@@ -101,7 +103,7 @@ class Brep:
 
     @property
     def internal_curves(self) -> set[int]:
-        """Curves that lie inside patches without bounding any; Gmsh leaves them out."""
+        """Curves that lie inside patches without bounding any; Gmsh may leave them out."""
         bounding = {use.curve_id for use in self.coedges if not use.internal}
         return {use.curve_id for use in self.coedges if use.internal} - bounding
 
@@ -387,7 +389,9 @@ def _role_row(edge: Any, uses: list[Coedge], dihedral: Dihedral | None, faces: l
         row |= {"kind": classify(dihedral), "sharp": dihedral.sharp}
         if np.isfinite(dihedral.angle_min):
             row |= {"angle_min": dihedral.angle_min, "angle_max": dihedral.angle_max}
-            row["convexity"] = dihedral.convexity
+            # Where the patches' orientations disagree, no side is the material's.
+            coherent = bounding[0].reversed != bounding[1].reversed
+            row["convexity"] = dihedral.convexity if coherent else None
         pair = (faces[bounding[0].patch_id], faces[bounding[1].patch_id])
         if BRep_Tool.HasContinuity_s(edge, *pair):
             continuity = BRep_Tool.Continuity_s(edge, *pair)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-__all__ = ["KINDS", "STAGES", "Failure", "advise"]
+__all__ = ["KILLED", "KINDS", "STAGES", "Failure", "advise"]
 
 STAGES: Final = ("plan", "read", "load", "brep", "import", "mesh", "truth", "write")
 """Stages of a model's way into the lake, in order."""
@@ -25,13 +25,17 @@ KINDS: Final[dict[str, str]] = {
     "mesh-failed": "the model cannot be meshed this way; check the faulty entity in the CAD system",
     "mesh-incomplete": "its boundary is probably faulty; repair the face in the CAD system",
     "truth-failed": "normals and curvatures could not be derived; the exact rows are kept",
-    "timeout": "the model took longer than allowed; raise --timeout",
-    "memory": "the model needed more memory than allowed; raise --memory",
+    "timeout": "the model took longer than allowed; more time is given by --timeout",
+    "memory": "the model needed more memory than allowed; more is given by --memory",
     "killed-signal": "the CAD kernel crashed on this model",
     "worker-died": "the worker process ended without an answer",
     "error": "an unexpected error; please report it with the file",
 }
 """Stable, append-only codes of failures, each with what it means for the user."""
+
+
+KILLED: Final = ("timeout", "killed-signal", "worker-died")
+"""Kinds in which the worker did not live to count its CPU time."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator, Sequence
+import re
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -27,6 +28,10 @@ FORMATS: Final[dict[str, str]] = {
 """Format by file extension, upper or lower case, each also with ``.gz``."""
 
 
+_ABC: Final = re.compile(r"(\d{8}_[0-9a-f]{24})_step_(\d{3})")
+"""Name of an original ABC file: id, document hash, kind, part."""
+
+
 @dataclass(frozen=True, slots=True)
 class Input:
     """One CAD file to ingest.
@@ -38,7 +43,7 @@ class Input:
     collection, name : str
         Identity of the model.
     format : str
-        ``step``, ``iges`` or ``brep``.
+        ``step``, ``iges`` or ``brep``; ``folder`` for one that cannot be listed.
     bytes : int, optional
         Size of the file; None if it cannot be read.
     sha256 : str, optional
@@ -66,6 +71,8 @@ def find_inputs(sources: Sequence[Path], collection: str | None = None) -> list[
 
     A folder is searched with its subfolders; every entry there whose name ends like a CAD
     file is an input, even if it turns out to be a folder or unreadable. Other files are not.
+    A folder that cannot be listed is an input that failed. Names leave out the extension; of
+    two files that differ in nothing else, the second in order keeps it in its name.
 
     Parameters
     ----------
@@ -86,10 +93,11 @@ def find_inputs(sources: Sequence[Path], collection: str | None = None) -> list[
         source = Path(source)
         if not source.exists():
             raise UsageError(f"source {source} does not exist; give a CAD file or a folder")
+        closed: list[OSError] = []
         is_folder = source.is_dir()
         home = source.resolve() if is_folder else source.resolve().parent
-        group = collection or home.name or "root"
-        paths = _walk(source) if is_folder else [source]
+        group = printable(collection or home.name or "root")
+        paths = _walk(source, closed.append) if is_folder else [source]
         for path in paths:
             kind = _format(path)
             if kind is None:
@@ -108,6 +116,9 @@ def find_inputs(sources: Sequence[Path], collection: str | None = None) -> list[
                         f"{path} and {found[group, item.name].path} would both be model "
                         f"{group}/{item.name}; ingest one with another --collection"
                     )
+        for error in closed:
+            item = _closed_folder(Path(error.filename), source, group, error)
+            found.setdefault((group, item.name), item)
     return sorted(found.values(), key=lambda item: (item.collection, item.name))
 
 
@@ -115,17 +126,20 @@ def _same_place(a: Path, b: Path) -> bool:
     return a.resolve() == b.resolve()
 
 
-def _walk(folder: Path) -> Iterator[Path]:
+def _closed_folder(folder: Path, source: Path, collection: str, error: OSError) -> Input:
+    """Return a folder that cannot be listed as an input that failed."""
+    name = printable(folder.relative_to(source).as_posix()) + "/"
+    failure = Failure("plan", "unreadable", advise("unreadable", str(error.strerror)), fatal=True)
+    return Input(folder, collection, name, "folder", failure=failure)
+
+
+def _walk(folder: Path, closed: Callable[[OSError], None]) -> Iterator[Path]:
     """Yield the entries below `folder` that are named like CAD files, in sorted order."""
-    for directory, folders, files in os.walk(folder, onerror=_raise):
+    for directory, folders, files in os.walk(folder, onerror=closed):
         folders.sort()
         for name in sorted([*files, *folders]):
             if _format(Path(name)) is not None:
                 yield Path(directory) / name
-
-
-def _raise(error: OSError) -> None:
-    raise UsageError(f"cannot list {error.filename}: {error.strerror}; check its permissions")
 
 
 def _format(path: Path) -> str | None:
@@ -134,10 +148,14 @@ def _format(path: Path) -> str | None:
 
 
 def _stem(relative: Path) -> str:
+    """Return a model's name. ABC's files of one model differ but in their kind, left out here."""
     name = relative.name
     if name.lower().endswith(".gz"):
         name = name[:-3]
-    return (relative.parent / os.path.splitext(name)[0]).as_posix()
+    stem = os.path.splitext(name)[0]
+    if match := _ABC.fullmatch(stem):
+        return f"{match[1]}_{match[2]}"
+    return (relative.parent / stem).as_posix()
 
 
 def _input(path: Path, collection: str, name: str, format: str) -> Input:

@@ -112,7 +112,9 @@ class GmshModel:
             path.unlink(missing_ok=True)
         self.complaint = complaint
         self._set_undefined(PATCHES.from_rows({"model_id": 0, **row} for row in brep.patches))
-        internal = brep.internal_curves
+        # Gmsh embeds curves that lie inside a patch, but leaves some of them out.
+        whole = len(gmsh.model.getEntities(1)) == len(brep.edges)
+        internal = set() if whole else brep.internal_curves
         self.curve_ids = [i for i in range(len(brep.edges)) if i not in internal]
         self.curve_tag = {curve_id: i + 1 for i, curve_id in enumerate(self.curve_ids)}
         self._prove()

@@ -113,7 +113,10 @@ def _new_document() -> Any:
     from OCP.TCollection import TCollection_ExtendedString
     from OCP.TDocStd import TDocStd_Document
     from OCP.XCAFApp import XCAFApp_Application
+    from OCP.XCAFDoc import XCAFDoc_ShapeTool
 
+    # Else shapes without a name get one: COMPOUND, SOLID ...
+    XCAFDoc_ShapeTool.SetAutoNaming_s(False)
     document = TDocStd_Document(TCollection_ExtendedString("BinXCAF"))
     XCAFApp_Application.GetApplication_s().InitDocument(document)
     return document

@@ -8,18 +8,20 @@ import os
 import resource
 import shutil
 import signal
+import subprocess
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from breplake.errors import MissingExtraError
+from breplake.errors import KernelUnavailableError, MissingExtraError
 from breplake.ingest.failure import Failure, advise
 from breplake.ingest.inputs import Input
 from breplake.ingest.settings import RUNGS, Settings
 from breplake.ingest.spool import Spool
 
-__all__ = ["Result", "run_models"]
+__all__ = ["Result", "discard", "run_models"]
 
 _AHEAD: Final = 4
 """Tasks waiting for each worker: enough to keep it busy, few enough to stop quickly."""
@@ -129,6 +131,7 @@ def _confine(limit: int) -> None:
 
 
 def _submit(pool: Any, result: Result, settings: Settings, rung: int) -> Any:
+    result.spool.start()
     return pool.schedule(
         _call, args=[result.input, settings, result.spool, rung], timeout=settings.timeout
     )
@@ -142,28 +145,57 @@ def _call(item: Input, settings: Settings, spool: Spool, rung: int) -> list[Fail
 
 def _take(future: Any, result: Result, settings: Settings) -> int | None:
     """Add a finished attempt to its result; return the rung to try next, if any."""
+    from concurrent.futures import BrokenExecutor
+
     from pebble import ProcessExpired
 
-    stage, detail = result.spool.stage
-    where = f"{stage} {detail}".strip()
-    killed: Failure
     try:
         result.failures += future.result()
         return None
-    except concurrent.futures.TimeoutError:
+    except BrokenExecutor as error:
+        raise _unavailable() from error
+    except (concurrent.futures.TimeoutError, ProcessExpired, MemoryError) as error:
+        return _killed(error, result, settings)
+
+
+def _killed(error: BaseException, result: Result, settings: Settings) -> int | None:
+    """Attribute a killed attempt; return the rung to try next, if any."""
+    from pebble import ProcessExpired
+
+    spool = result.spool
+    stage, detail = spool.stage
+    where = f"{stage} {detail}".strip()
+    result.failures += [Failure(**noted) for noted in spool.take_notes()]
+    if isinstance(error, concurrent.futures.TimeoutError):
         message = advise("timeout", f"{where} ran into the limit of {settings.timeout:g} s")
-        killed = Failure(stage, "timeout", message, fatal=False, seconds=settings.timeout)
-    except ProcessExpired as error:
+        killed = Failure(stage, "timeout", message, fatal=False)
+    elif isinstance(error, ProcessExpired):
         killed = _crash(stage, where, error.exitcode)
-    except MemoryError:
+    else:
         message = advise("memory", f"{where} passed {settings.memory:g} GiB")
         killed = Failure(stage, "memory", message, fatal=False)
+    killed = replace(killed, seconds=spool.age())
     ladder = RUNGS[settings.mesh]
     if stage in ("mesh", "truth") and detail in ladder[:-1]:
         result.failures.append(killed)
         return ladder.index(detail) + 1
+    if stage == "import":
+        # The rung below the ladder does without Gmsh.
+        result.failures.append(killed)
+        return len(ladder)
     result.failures.append(replace(killed, fatal=not result.recorded))
     return None
+
+
+def _unavailable() -> KernelUnavailableError:
+    """Find out why no worker can start."""
+    command = [sys.executable, "-P", "-c", "import breplake.ingest.preload"]
+    probe = subprocess.run(command, capture_output=True, text=True, check=False)
+    lines = probe.stderr.strip().splitlines() or ["the workers died without a word"]
+    return KernelUnavailableError(
+        f"Open CASCADE or Gmsh cannot be loaded: {lines[-1]}. On Debian and Ubuntu: "
+        "apt-get install libgl1 libglu1-mesa libxcursor1 libxft2 libxinerama1 libfontconfig1"
+    )
 
 
 def _crash(stage: str, where: str, exitcode: int) -> Failure:

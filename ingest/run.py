@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import platform
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -38,11 +40,14 @@ class Plan:
         In the lake already, with the same bytes and settings.
     changed : list of Input
         In the lake with other bytes or settings.
+    n_failed_before : int
+        How many of `unchanged` are failures, or models without mesh.
     """
 
     new: list[Input]
     unchanged: list[Input]
     changed: list[Input]
+    n_failed_before: int = 0
 
 
 @dataclass(slots=True)
@@ -91,27 +96,34 @@ class Summary:
 def plan(store: LakeStore, inputs: Sequence[Input], settings: Settings) -> Plan:
     """Compare `inputs` with what the lake's newest snapshot holds."""
     known = _known(store)
-    result = Plan([], [], [])
+    new: list[Input] = []
+    unchanged: list[Input] = []
+    changed: list[Input] = []
+    failed = 0
     for item in inputs:
         if item.model_id not in known:
-            result.new.append(item)
-        elif known[item.model_id] == (item.sha256, settings.config_hash):
-            result.unchanged.append(item)
+            new.append(item)
+            continue
+        sha256, config_hash, is_complete = known[item.model_id]
+        if (sha256, config_hash) == (item.sha256, settings.config_hash):
+            unchanged.append(item)
+            failed += not is_complete
         else:
-            result.changed.append(item)
-    return result
+            changed.append(item)
+    return Plan(new, unchanged, changed, failed)
 
 
-def _known(store: LakeStore) -> dict[int, tuple[str | None, str]]:
-    """Return hash and settings of all inputs in the lake by model_id."""
+def _known(store: LakeStore) -> dict[int, tuple[str | None, str, bool]]:
+    """Return hash, settings and success of all inputs in the lake by model_id."""
     head = store.head()
-    known: dict[int, tuple[str | None, str]] = {}
+    known: dict[int, tuple[str | None, str, bool]] = {}
     columns = ["model_id", "sha256", "config_hash"]
-    for name in ("failures", "models"):
+    for name, more in (("failures", []), ("models", ["mesh_kind"])):
         for entry in head.table_files(name) if head else ():
-            table: pa.Table = pq.read_table(store.root / entry.path, columns=columns)
+            table: pa.Table = pq.read_table(store.root / entry.path, columns=columns + more)
             for row in table.to_pylist():
-                known[row["model_id"]] = row["sha256"], row["config_hash"]
+                is_complete = row.get("mesh_kind") is not None
+                known[row["model_id"]] = row["sha256"], row["config_hash"], is_complete
     return known
 
 
@@ -178,14 +190,27 @@ def ingest(
                 yield result
 
         for shard in _shards(todo.new, counted()):
-            files = write_shard(store, shard, settings.config_hash)
-            summary.snapshot = store.commit(
-                files, message=text, tools=tools, config_hash=settings.config_hash
-            )
+            with _writing(store.root):
+                files = write_shard(store, shard, settings.config_hash)
+                summary.snapshot = store.commit(
+                    files, message=text, tools=tools, config_hash=settings.config_hash
+                )
             for result in shard:
                 discard(result)
     summary.seconds = time.monotonic() - started
     return summary
+
+
+@contextmanager
+def _writing(root: Path) -> Iterator[None]:
+    """Keep other ingests from writing shards until this one is committed.
+
+    Files that no snapshot names are taken for what an interrupted run left; those of a
+    running one look the same. The system drops the lock when the process dies.
+    """
+    with (root / "writer.lock").open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
 
 
 def _shards(inputs: Sequence[Input], results: Iterable[Result]) -> Iterator[list[Result]]:

@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from breplake.ingest.failure import KILLED
 from breplake.ingest.geometry import Row
 from breplake.ingest.inputs import printable
 from breplake.ingest.pool import Result
@@ -101,7 +102,7 @@ def _finished(result: Result, shard: str) -> Row:
     row = result.spool.read_model()
     row["metadata"] = list(row["metadata"])
     # A killed worker's CPU time is lost with it; it was busy, so its wall time stands in.
-    lost = sum(f.seconds for f in result.failures if f.kind in ("timeout", "killed-signal"))
+    lost = sum(f.seconds for f in result.failures if f.kind in KILLED)
     return row | {"shard": shard, "cpu_total": row["cpu_total"] + lost}
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,6 +42,32 @@ class Spool:
     def mark(self, stage: str) -> None:
         """Note the stage that begins, so that a kill is attributed to it."""
         (self.folder / "stage").write_text(stage)
+
+    def start(self) -> None:
+        """Begin an attempt: what an earlier one noted is not this one's."""
+        self.mark("read:")
+        (self.folder / "notes").unlink(missing_ok=True)
+        (self.folder / "begun").unlink(missing_ok=True)
+
+    def begin(self) -> None:
+        """Note the time at which the worker takes up the model."""
+        (self.folder / "begun").touch()
+
+    def age(self) -> float:
+        """Return the seconds since the worker took up the model; 0 if it never did."""
+        path = self.folder / "begun"
+        return time.time() - path.stat().st_mtime if path.exists() else 0.0
+
+    def note(self, failure: Row) -> None:
+        """Keep a failure in case the worker does not live to return it."""
+        with (self.folder / "notes").open("a") as file:
+            file.write(json.dumps(failure) + "\n")
+
+    def take_notes(self) -> list[Row]:
+        """Return the failures that were noted."""
+        path = self.folder / "notes"
+        lines = path.read_text().splitlines() if path.exists() else []
+        return [json.loads(line) for line in lines]
 
     @property
     def stage(self) -> tuple[str, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from typing import Any, Final
 
 import numpy as np
@@ -56,6 +57,9 @@ class _Tessellation:
         self.count = 0
         self.corner_vertex = np.full(len(self.brep.vertices), -1, dtype=np.int64)
         self.curves: dict[int, CurveNodes] = {}
+        self.curves_of: dict[int, list[int]] = defaultdict(list)
+        for use in self.brep.coedges:
+            self.curves_of[use.patch_id].append(use.curve_id)
 
     def mesh(self) -> Mesh:
         ends = {r[k] for r in self.brep.curves for k in ("start_corner", "end_corner")}
@@ -110,8 +114,8 @@ class _Tessellation:
             [data.Triangle(i + 1).Get() for i in range(data.NbTriangles())], dtype=np.int64
         )
         vertex = np.full(n, -1, dtype=np.int64)
-        for use in (u for u in self.brep.coedges if u.patch_id == patch_id):
-            self._edge(use.curve_id, face, data, location, vertex)
+        for curve_id in self.curves_of[patch_id]:
+            self._edge(curve_id, face, data, location, vertex)
         inner = np.flatnonzero(vertex < 0)
         owner = np.full(len(inner), patch_id, dtype=np.int64)
         vertex[inner] = self._add(self.model.points(owner, uv[inner, 0], uv[inner, 1]))

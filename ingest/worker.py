@@ -6,7 +6,7 @@ import gzip
 import shutil
 import time
 import zlib
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -59,7 +59,8 @@ class Task:
     spool : Spool
         Where to leave the record.
     rung : int
-        First rung of the mesh ladder to try; higher after a kill on a lower one.
+        First rung of the mesh ladder to try; higher after a kill on a lower one. Beyond the
+        ladder, the last rung is tried without Gmsh.
     """
 
     input: Input
@@ -76,6 +77,7 @@ def work(task: Task) -> list[Failure]:
     list of Failure
         Fatal ones leave no record; after others the record holds what was done.
     """
+    task.spool.begin()
     clock = StageClock(task.spool.mark)
     failures: list[Failure] = []
     try:
@@ -178,17 +180,9 @@ class _Model:
     def _add_mesh(self, gmsh: Any, brep: Brep) -> None:
         """Climb down the ladder of meshes until one succeeds."""
         ladder = RUNGS[self.settings.mesh]
-        rungs = ladder[self.task.rung :]
-        model: GmshModel | ClosedForm
-        try:
-            with self.clock.stage("import"):
-                model = GmshModel(gmsh, brep, self.spool.folder)
-        except InputError as error:
-            self.failures.append(_failure(self.clock, error, fatal=False))
-            with self.clock.stage("import"):
-                model = ClosedForm(brep, self.tables)
-            rungs = ladder[-1:]
-        limit, notes = self._limit()
+        model = self._imported(gmsh, brep)
+        rungs = ladder[self.task.rung :] if isinstance(model, GmshModel) else ladder[-1:]
+        limit, notes = self._limit(brep)
         for rung in rungs:
             try:
                 with self.clock.stage("mesh", rung):
@@ -196,14 +190,14 @@ class _Model:
                 with self.clock.stage("truth", rung):
                     self._truth(model, mesh, limit)
             except Exception as error:  # whatever fails here, the next rung may not
-                self.failures.append(_failure(self.clock, error, fatal=False))
+                self._note(error)
                 gmsh.model.mesh.clear()
                 continue
             if rung != ladder[0]:
                 notes.append(f"{ladder[0]} meshing failed, see failures")
             self.row |= {"mesh_kind": rung, "mesh_limit": limit}
             longest = self.row["max_edge"] / limit
-            if longest > _HONOURED:
+            if not longest <= _HONOURED:
                 notes.append(f"longest edge is {longest:.3g} times the limit")
             if self.opposed:
                 notes.append(f"{self.opposed} triangles oppose their normals: finer edges may help")
@@ -211,11 +205,30 @@ class _Model:
             self._write("mesh")
             return
 
-    def _limit(self) -> tuple[float, list[str]]:
+    def _imported(self, gmsh: Any, brep: Brep) -> GmshModel | ClosedForm:
+        """Return the model in Gmsh, or our own closed forms where Gmsh does not take it."""
+        if self.task.rung < len(RUNGS[self.settings.mesh]):
+            try:
+                with self.clock.stage("import"):
+                    return GmshModel(gmsh, brep, self.spool.folder)
+            except InputError as error:
+                self._note(error)
+        with self.clock.stage("truth"):
+            return ClosedForm(brep, self.tables)
+
+    def _note(self, error: Exception) -> None:
+        """Record a failure after which the model goes on."""
+        failure = _failure(self.clock, error, fatal=False)
+        self.failures.append(failure)
+        self.spool.note(asdict(failure))
+
+    def _limit(self, brep: Brep) -> tuple[float, list[str]]:
         """Return the edge length in mm that keeps the mesh within bounds, and what to note."""
         wanted = self.settings.max_edge * float(self.row["diagonal"])
         # An equilateral triangle of side a covers sqrt(3)/4 a^2; real meshes need twice as many.
-        least = float(np.sqrt(2 * self.row["area"] / (0.433 * self.settings.max_triangles)))
+        # Faces that are wound the wrong way have negative area.
+        area = sum(abs(row["area"]) for row in brep.patches)
+        least = float(np.sqrt(2 * area / (0.433 * self.settings.max_triangles)))
         if wanted >= least:
             return wanted, []
         return least, [

@@ -34,7 +34,8 @@ def report(lake: breplake.Lake) -> list[str]:
     models: Any = lake.sql("SELECT * FROM models ORDER BY model_id").to_arrow_table()
     killed, fatal, n_fatal = lake.sql(
         """
-        SELECT coalesce(sum(seconds) FILTER (kind IN ('timeout', 'killed-signal')), 0),
+        SELECT coalesce(sum(seconds) FILTER (
+                   kind IN ('timeout', 'killed-signal', 'worker-died')), 0),
                coalesce(sum(seconds) FILTER (fatal), 0),
                count(*) FILTER (fatal)
         FROM failures
@@ -46,12 +47,14 @@ def report(lake: breplake.Lake) -> list[str]:
         return values
 
     total = column("cpu_total")
+    if not len(total):
+        return [f"{n_fatal} inputs, and no model among them"]
     n_inputs = len(total) + n_fatal
     mean = (total.sum() + fatal) / n_inputs
     lost = lake.sql(
         """
         SELECT coalesce(sum(f.seconds), 0) FROM failures f JOIN models m USING (model_id)
-        WHERE f.kind IN ('timeout', 'killed-signal')
+        WHERE f.kind IN ('timeout', 'killed-signal', 'worker-died')
         """
     ).fetchall()[0][0]
     share = column("cpu_kernel").sum() / (total.sum() - lost)

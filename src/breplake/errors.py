@@ -9,6 +9,7 @@
     │   ├── NameNotFoundError      (LookupError) no such snapshot, tag, table or model
     │   └── CommitConflictError    (RuntimeError) two writers claim the same models
     ├── InputError                 (ValueError) one CAD file: becomes a row of ``failures``
+    ├── KernelUnavailableError     (OSError) the CAD kernels cannot be loaded here
     ├── UsageError                 (ValueError) an argument breaks a rule
     └── MissingExtraError          (ImportError) an optional dependency is not installed
 
@@ -22,6 +23,7 @@ __all__ = [
     "BreplakeError",
     "CommitConflictError",
     "InputError",
+    "KernelUnavailableError",
     "LakeError",
     "LakeFormatError",
     "LakeNotFoundError",
@@ -91,6 +93,12 @@ class InputError(BreplakeError, ValueError):
     def __reduce__(self) -> tuple[type[InputError], tuple[str, str]]:
         """Survive the way back from a worker process, where ``args`` alone is too short."""
         return type(self), (self.kind, str(self))
+
+
+class KernelUnavailableError(BreplakeError, OSError):
+    """Open CASCADE or Gmsh cannot be loaded, for want of a system library say."""
+
+    kind = "kernel-unavailable"
 
 
 class UsageError(BreplakeError, ValueError):

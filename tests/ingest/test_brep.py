@@ -130,3 +130,46 @@ def test_instances_are_parts_of_their_own(ingest_shape):
     assert (record.model["n_parts"], record.model["n_patches"]) == (2, 12)
     centres = record.structs("parts", "centroid")
     np.testing.assert_allclose(centres[1] - centres[0], [5, 0, 0], atol=1e-12)
+
+
+def square(*, inner_edge=False, reversed_wire=False):
+    from OCP.BRep import BRep_Builder
+    from OCP.BRepBuilderAPI import BRepBuilderAPI_MakeEdge, BRepBuilderAPI_MakeFace
+    from OCP.gp import gp_Dir, gp_Pln, gp_Pnt
+    from OCP.TopAbs import TopAbs_Orientation
+    from OCP.TopoDS import TopoDS
+
+    wire = cq.Wire.makePolygon([(0, 0, 0), (9, 0, 0), (9, 9, 0), (0, 9, 0)], close=True).wrapped
+    if reversed_wire:
+        wire = TopoDS.Wire_s(wire.Reversed())
+    face = BRepBuilderAPI_MakeFace(gp_Pln(gp_Pnt(), gp_Dir(0, 0, 1)), wire, False).Face()
+    if inner_edge:
+        edge = BRepBuilderAPI_MakeEdge(gp_Pnt(2, 2, 0), gp_Pnt(6, 5, 0)).Edge()
+        inside = cq.Wire.assembleEdges([cq.Edge(edge)]).wrapped
+        BRep_Builder().Add(face, inside.Oriented(TopAbs_Orientation.TopAbs_INTERNAL))
+    return cq.Face(face)
+
+
+def test_curve_inside_a_patch(ingest_shape):
+    record = ingest_shape(square(inner_edge=True))
+    assert not record.failures
+    assert record.model["mesh_kind"] == "uniform"
+    inner = [row for row in curves(record) if row["kind"] == "smooth"]
+    assert len(inner) == 1
+    assert (inner[0]["n_patches"], inner[0]["left_patch"]) == (1, None)
+    assert len(inner[0]["vert_indices"]) > 2
+
+
+def test_face_with_its_wire_the_wrong_way_round(ingest_shape):
+    """OCCT gives it a negative area. The limit of the edges holds all the same."""
+    record = ingest_shape(square(reversed_wire=True))
+    assert np.isfinite(record.model["diagonal"])
+    if record.model.get("mesh_kind"):
+        assert record.model["max_edge"] <= 1.05 * record.model["mesh_limit"]
+    else:
+        assert record.failures
+
+
+def test_circle_alone_has_a_box(ingest_shape):
+    record = ingest_shape(cq.Edge.makeCircle(5))
+    assert record.model["diagonal"] == pytest.approx(10 * math.sqrt(2), rel=1e-6)

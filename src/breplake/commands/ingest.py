@@ -112,11 +112,18 @@ class _Bar:
 
 def _report(out: Console, summary: Summary, lake: Path) -> None:
     """Print what became of the inputs, and where to look next."""
+    from rich.markup import escape
+
     plan = summary.plan
     if plan.unchanged:
         out.print(f"{_files(len(plan.unchanged))} in the lake already, unchanged")
+        if plan.n_failed_before:
+            out.print(
+                f"{_files(plan.n_failed_before)} of them failed before; to try again with other "
+                "limits, ingest into a new lake or another --collection"
+            )
     if plan.changed:
-        names = ", ".join(item.name for item in plan.changed[:_NAMED])
+        names = escape(", ".join(item.name for item in plan.changed[:_NAMED]))
         more = f" and {len(plan.changed) - _NAMED} more" if len(plan.changed) > _NAMED else ""
         out.print(
             f"[yellow]{_files(len(plan.changed))} not ingested: in the lake with other content "
@@ -139,9 +146,9 @@ def _report(out: Console, summary: Summary, lake: Path) -> None:
             table.add_row(stage, kind, str(times))
         out.print(table)
         query = "SELECT name, stage, kind, message FROM failures"
-        out.print(f'why: breplake sql "{query}" --lake {lake}', soft_wrap=True)
+        out.print(f'why: breplake sql "{query}" --lake {escape(str(lake))}', soft_wrap=True)
     if summary.snapshot is not None:
-        out.print(f"{lake} is at snapshot {summary.snapshot.number}")
+        out.print(f"{escape(str(lake))} is at snapshot {summary.snapshot.number}")
 
 
 def _files(count: int) -> str:
