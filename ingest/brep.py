@@ -25,7 +25,7 @@ INFINITE: Final = 1e50
 """Parameters beyond this are OCCT's way of saying infinite (``Precision::Infinite``)."""
 
 
-INTEGRAL: Final = 1e-9
+INTEGRAL: Final = 1e-6
 """Relative error asked of areas and volumes. OCCT's default quadrature has none to ask for: it
 is wrong by up to 0.4 % in area and 4 % in volume on spline patches."""
 
@@ -133,7 +133,10 @@ def extract(canonical: Canonical, labels: Sequence[Label]) -> Brep:
         _patch_row(i, face, surfaces[i], part_of[i]) | names["patch", i]
         for i, face in enumerate(faces)
     ]
-    parts = [_part_row(i, part) | names["part", i] for i, part in enumerate(canonical.parts)]
+    parts = [
+        _part_row(i, part, _area(canonical, part, patches)) | names["part", i]
+        for i, part in enumerate(canonical.parts)
+    ]
     for patch in patches:
         patch.setdefault("colour", parts[patch["part_id"]].get("colour"))
     corners = [
@@ -223,27 +226,39 @@ def _bounds(shape: Any) -> Row:
     raise InputError("unbounded", advise("unbounded", "a part has no finite bounding box"))
 
 
-def _part_row(part_id: int, part: PartShape) -> Row:
-    from OCP.BRepGProp import BRepGProp
-    from OCP.GProp import GProp_GProps
+def _area(canonical: Canonical, part: PartShape, patches: Sequence[Row]) -> float:
+    from OCP.TopAbs import TopAbs_ShapeEnum
 
-    surface, solid = GProp_GProps(), GProp_GProps()
-    is_solid = part.kind == "solid"
-    with KERNEL():
-        BRepGProp.SurfaceProperties_s(part.shape, surface, INTEGRAL)
-        if is_solid:
-            BRepGProp.VolumeProperties_s(part.shape, solid, INTEGRAL)
-    # A solid of no volume has no centre of mass; its surface still has one.
-    centre = solid if is_solid and solid.Mass() else surface
+    faces = explore(part.shape, TopAbs_ShapeEnum.TopAbs_FACE)
+    return float(sum(patches[canonical.faces.FindIndex(face) - 1]["area"] for face in faces))
+
+
+def _part_row(part_id: int, part: PartShape, area: float) -> Row:
     return {
         "part_id": part_id,
         "kind": part.kind,
-        "volume": solid.Mass() if is_solid else None,
-        "area": surface.Mass(),
-        "centroid": _xyz(centre.CentreOfMass()),
+        "area": area,
         "is_closed": _is_closed(part.shape),
+        **_mass(part),
         **_bounds(part.shape),
     }
+
+
+def _mass(part: PartShape) -> Row:
+    """Return volume and centre of mass; a solid of no volume has that of its surface."""
+    from OCP.BRepGProp import BRepGProp
+    from OCP.GProp import GProp_GProps
+
+    volume = None
+    properties = GProp_GProps()
+    with KERNEL():
+        if part.kind == "solid":
+            BRepGProp.VolumeProperties_s(part.shape, properties, INTEGRAL)
+            volume = properties.Mass()
+        if not volume:
+            properties = GProp_GProps()
+            BRepGProp.SurfaceProperties_s(part.shape, properties, INTEGRAL)
+    return {"volume": volume, "centroid": _xyz(properties.CentreOfMass())}
 
 
 def _is_closed(shape: Any) -> bool:

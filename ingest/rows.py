@@ -72,7 +72,7 @@ def brep_columns(brep: Brep) -> Row:
         "diagonal": float(np.linalg.norm(high - low)),
         "area": sum(row["area"] for row in brep.patches),
         "volume": volume,
-        "is_closed": bool(brep.patches) and all(part["is_closed"] for part in brep.parts),
+        "is_closed": bool(brep.patches) and "boundary" not in kinds,
         "is_single_primitive": "free" not in kinds
         and is_single_primitive(len(brep.parts), brep.patches, len(brep.corners), len(brep.curves)),
         "fingerprint": fingerprint(brep.patches, brep.curves, volume),
