@@ -117,6 +117,8 @@ def edge_limit(view: ModelView) -> Iterator[Measure]:
     "diagonal is that of the box, and all mesh vertices lie in it",
     limit="1e-9 x diagonal + greatest tolerance",
     unit="mm",
+    share=0.001,
+    source=True,
 )
 def bounding_box(view: ModelView) -> Iterator[Measure]:
     """Measure the diagonal, and how far mesh vertices stick out of the box."""
@@ -135,6 +137,8 @@ def bounding_box(view: ModelView) -> Iterator[Measure]:
     "every edge of a closed model's mesh has two triangles; four or more even ones where strips "
     "of patches touch, an odd number only at nonmanifold curves",
     needs=(*_MESH, "mesh-edges"),
+    share=0.001,
+    source=True,
 )
 def watertight(view: ModelView) -> Iterator[Measure]:
     """Measure each edge of the mesh of a closed model."""

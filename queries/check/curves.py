@@ -42,10 +42,11 @@ def curve_lists(view: ModelView) -> Iterator[Measure]:
 @model_rule(
     "curve-position",
     "mesh vertices of a curve lie at its vert_parameters (degenerate curves left out)",
-    limit="max(1e-9 x diagonal, tolerance of the curve)",
+    limit="max(1e-9 x diagonal, tolerance of the curve, of its corners at the ends)",
     unit="mm",
-    share=0.001,
     needs=_NEEDS,
+    share=0.001,
+    source=True,
 )
 def curve_position(view: ModelView) -> Iterator[Measure]:
     """Measure the distance of curve(t) to the mesh vertex."""
@@ -55,6 +56,12 @@ def curve_position(view: ModelView) -> Iterator[Measure]:
     distance = np.linalg.norm(truth.jet.point[rows] - points, axis=1)
     owner, place = truth.owner[rows], truth.place[rows]
     limit = np.maximum(1e-9 * view.diagonal, view.floats("curves", "tolerance")[owner])
+    tolerance = view.floats("corners", "tolerance")
+    last = truth.offsets[owner + 1] - truth.offsets[owner] - 1
+    for corner, at_end in (("start_corner", place == 0), ("end_corner", place == last)):
+        corners = view.ints("curves", corner)[owner]
+        ends = np.flatnonzero(at_end & (corners >= 0))
+        limit[ends] = np.maximum(limit[ends], tolerance[corners[ends]])
     types = view.words("curves", "type")
     yield Measure(
         distance, limit, lambda i: f"curve {owner[i]} ({types[owner[i]]}), entry {place[i]}"
@@ -102,7 +109,13 @@ def curve_ends(view: ModelView) -> Iterator[Measure]:
         yield Measure.of_truth(ok, place("curve {0}: {c}", curves, c=column))
 
 
-@model_rule("curve-edges", "a curve's mesh vertices are joined by edges of the mesh", needs=_NEEDS)
+@model_rule(
+    "curve-edges",
+    "a curve's mesh vertices are joined by edges of the mesh",
+    needs=_NEEDS,
+    share=0.001,
+    source=True,
+)
 def curve_edges(view: ModelView) -> Iterator[Measure]:
     """Measure each pair of mesh vertices that follow each other on a curve of a patch."""
     truth = view.curve

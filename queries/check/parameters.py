@@ -58,6 +58,8 @@ def _axis_measure(error: Floats, what: str) -> Measure:
     limit="1e-9 x diagonal",
     unit="mm",
     needs=("ids-dense", "references", "words", "evaluable"),
+    share=0.001,
+    source=True,
 )
 def coefficients(view: ModelView) -> Iterator[Measure]:
     """Measure the first-order distance of p(u, v) to the plane or quadric at every vertex."""

@@ -38,6 +38,8 @@ def model_sums(view: ModelView) -> Iterator[Measure]:
     limit="1e-9 x area of the model",
     unit="mm^2",
     needs=("ids-dense", "references", "words"),
+    share=0.001,
+    source=True,
 )
 def part_sums(view: ModelView) -> Iterator[Measure]:
     """Measure parts.area; a shared patch counts for its first part only."""

@@ -67,8 +67,9 @@ def _distance(view: ModelView) -> Floats:
     "range",
     "(u, v) lies in the range of its patch; where the surface is periodic, any period will do",
     limit="1e-4 x range",
-    share=0.001,
     needs=_NEEDS,
+    share=0.001,
+    source=True,
 )
 def parameter_range(view: ModelView) -> Iterator[Measure]:
     """Measure how far u and v are outside, as a share of the range."""
@@ -177,6 +178,8 @@ def curvature_order(view: ModelView) -> Iterator[Measure]:
     limit="1e-6 x greater of both + 1e-9 / diagonal, singular points left out",
     unit="1/mm",
     needs=_NEEDS,
+    share=0.001,
+    source=True,
 )
 def curvature(view: ModelView) -> Iterator[Measure]:
     """Measure the greater error of both curvatures against the closed form."""
@@ -235,6 +238,8 @@ def directions(view: ModelView) -> Iterator[Measure]:
     limit="1e-6 x greater of both / (k_max - k_min)",
     unit="rad",
     needs=(*_NEEDS, "directions"),
+    share=0.001,
+    source=True,
 )
 def direction_truth(view: ModelView) -> Iterator[Measure]:
     """Measure the angle between stored and exact d_min, up to its sign."""

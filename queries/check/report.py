@@ -85,6 +85,8 @@ class RuleResult:
         As in the rule.
     checked, failed : int
         Values measured, and those beyond their limit.
+    excused : int
+        Those of the failed ones that faults of the CAD file explain; see `Rule.source`.
     skipped : int
         Models on which it could not be measured because a rule it builds on is broken there.
     worst, worst_limit : float or None
@@ -95,7 +97,7 @@ class RuleResult:
     exceptions : Exceptions
         The broken values one by one.
     passed : bool
-        Whether no more than the share `share` is broken.
+        Whether no more than the share `share` is broken, excused values aside.
     """
 
     name: str
@@ -105,6 +107,7 @@ class RuleResult:
     share: float
     checked: int
     failed: int
+    excused: int
     skipped: int
     worst: float | None
     worst_limit: float | None
@@ -122,6 +125,7 @@ class RuleResult:
             "share": self.share,
             "checked": self.checked,
             "failed": self.failed,
+            "excused": self.excused,
             "skipped": self.skipped,
             "worst": _finite(self.worst),
             "worst_limit": _finite(self.worst_limit),

@@ -91,6 +91,9 @@ class Rule:
         Unit of the measured values; empty for a count or a statement.
     share : float
         Share of the checked values that may break the limit (they are all listed).
+    source : bool
+        Whether faults of the CAD file itself can break it. Models that Open CASCADE finds
+        invalid, or whose pcurves had to be made up, are then listed but do not count.
     needs : tuple of str
         Rules that must hold on a model before this one can be measured on it.
     measure : callable
@@ -102,6 +105,7 @@ class Rule:
     limit: str
     unit: str
     share: float
+    source: bool
     needs: tuple[str, ...]
     measure: Callable[[Any], Iterable[Measure]]
 
@@ -120,6 +124,7 @@ def model_rule(
     limit: str = "none",
     unit: str = "",
     share: float = 0.0,
+    source: bool = False,
     needs: tuple[str, ...] = (),
 ) -> Callable[[Callable[[ModelView], Iterable[Measure]]], Callable[[ModelView], Iterable[Measure]]]:
     """Register a function that measures one model; see `Rule` for the arguments."""
@@ -127,7 +132,7 @@ def model_rule(
     def register(
         measure: Callable[[ModelView], Iterable[Measure]],
     ) -> Callable[[ModelView], Iterable[Measure]]:
-        MODEL_RULES[name] = Rule(name, description, limit, unit, share, needs, measure)
+        MODEL_RULES[name] = Rule(name, description, limit, unit, share, source, needs, measure)
         return measure
 
     return register
@@ -141,7 +146,7 @@ def lake_rule(
     def register(
         measure: Callable[[LakeView], Iterable[Measure]],
     ) -> Callable[[LakeView], Iterable[Measure]]:
-        LAKE_RULES[name] = Rule(name, description, limit, unit, 0.0, (), measure)
+        LAKE_RULES[name] = Rule(name, description, limit, unit, 0.0, False, (), measure)
         return measure
 
     return register
@@ -154,6 +159,7 @@ class Tally:
     rule: Rule
     checked: int = 0
     failed: int = 0
+    excused: int = 0
     skipped: int = 0
     worst: float = 0.0
     worst_limit: float = 0.0
@@ -161,8 +167,11 @@ class Tally:
     offenders: dict[str, Offender] = field(default_factory=dict)
     exceptions: Exceptions = field(default_factory=Exceptions)
 
-    def add(self, measure: Measure, subject: str) -> bool:
-        """Count `measure`; return whether all its values keep their limits."""
+    def add(self, measure: Measure, subject: str, *, faulty: bool = False) -> bool:
+        """Count `measure`; return whether all its values keep their limits.
+
+        What breaks in a model whose file is `faulty` is excused where the rule says so.
+        """
         subject = measure.subject or subject
         values = np.asarray(measure.values, dtype=np.float64)
         if not len(values):
@@ -172,6 +181,7 @@ class Tally:
         broken = np.flatnonzero(~(values <= limits))
         self.checked += len(values)
         self.failed += len(broken)
+        self.excused += len(broken) if faulty and self.rule.source else 0
         top = int(np.argmax(ratio))
         if ratio[top] > self.worst_ratio:
             self.worst, self.worst_limit = float(values[top]), float(limits[top])
@@ -209,12 +219,13 @@ class Tally:
             share=self.rule.share,
             checked=self.checked,
             failed=self.failed,
+            excused=self.excused,
             skipped=self.skipped,
             worst=self.worst if self.checked else None,
             worst_limit=self.worst_limit if self.checked else None,
             offenders=tuple(worst_first),
             exceptions=self.exceptions,
-            passed=self.failed <= allowed,
+            passed=self.failed - self.excused <= allowed,
         )
 
 

@@ -104,6 +104,7 @@ def check_lake(
 def check_model(view: ModelView, tallies: dict[str, Tally]) -> None:
     """Measure every model rule on one model, leaving out what a broken rule makes senseless."""
     broken: set[str] = set()
+    faulty = not view.row["is_valid"] or bool(view.row["n_added_pcurves"])
     for name, rule in ORDERED_RULES.items():
         tally = tallies[name]
         if broken.intersection(rule.needs):
@@ -111,7 +112,7 @@ def check_model(view: ModelView, tallies: dict[str, Tally]) -> None:
             broken.add(name)
             continue
         for measure in rule.measure(view):
-            if not tally.add(measure, view.name):
+            if not tally.add(measure, view.name, faulty=faulty):
                 broken.add(name)
 
 

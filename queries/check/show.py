@@ -87,7 +87,8 @@ def _mark(rule: RuleResult) -> Text:
 
 def _failed(rule: RuleResult) -> str:
     skipped = f" (+{rule.skipped} models skipped)" if rule.skipped else ""
-    return f"{rule.failed:,}{skipped}"
+    excused = f" ({rule.excused:,} in faulty files)" if rule.excused else ""
+    return f"{rule.failed:,}{excused}{skipped}"
 
 
 def _worst(rule: RuleResult) -> str:

@@ -15,7 +15,13 @@ __all__: list[str] = []
 _NEEDS = ("ids-dense", "references", "words")
 
 
-@model_rule("loops", "loops of a patch and places in a loop are numbered 0 .. n-1", needs=_NEEDS)
+@model_rule(
+    "loops",
+    "loops of a patch and places in a loop are numbered 0 .. n-1",
+    needs=_NEEDS,
+    share=0.001,
+    source=True,
+)
 def loops(view: ModelView) -> Iterator[Measure]:
     """Measure each coedge's numbers, and patches.n_loops."""
     patch, loop, number = (view.ints("coedges", c) for c in ("patch_id", "loop", "place"))
@@ -90,6 +96,8 @@ def curve_kinds(view: ModelView) -> Iterator[Measure]:
     "loops-close",
     "each coedge of a loop ends at the corner where the next one starts",
     needs=_NEEDS,
+    share=0.001,
+    source=True,
 )
 def loops_close(view: ModelView) -> Iterator[Measure]:
     """Measure each loop, walked in either direction; curves without corners are left out."""

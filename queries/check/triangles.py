@@ -25,9 +25,10 @@ SLIVER: Final = 1e-7
     "triangles run counter-clockwise seen from outside: their normal and the mean of their "
     "vertex normals agree (slivers lower than 1e-7 x diagonal left out)",
     limit="90 degrees",
-    share=0.001,
     unit="degrees",
     needs=_NEEDS,
+    share=0.001,
+    source=True,
 )
 def winding(view: ModelView) -> Iterator[Measure]:
     """Measure the angle of each triangle's normal to the mean of its exact normals."""
@@ -48,6 +49,8 @@ def winding(view: ModelView) -> Iterator[Measure]:
     "at an edge of a closed model's mesh as many triangles run along it as against it "
     "(edges with an odd number left out)",
     needs=_NEEDS,
+    share=0.001,
+    source=True,
 )
 def neighbours(view: ModelView) -> Iterator[Measure]:
     """Measure each edge with an even number of triangles."""
@@ -66,6 +69,8 @@ def neighbours(view: ModelView) -> Iterator[Measure]:
     limit="chord error of surface and rim, see patch_area",
     unit="mm^2",
     needs=(*_NEEDS, "words", "curve-lists"),
+    share=0.001,
+    source=True,
 )
 def patch_area(view: ModelView) -> Iterator[Measure]:
     """Measure the difference of mesh area and exact area of each patch.
@@ -150,6 +155,8 @@ def _curvature(curves: CurveSet, row: np.ndarray, t: Floats) -> Floats:
     limit="2 x sum of area x sagitta + 1e-6 x volume + tolerance x area",
     unit="mm^3",
     needs=(*_NEEDS, "watertight", "winding", "neighbours"),
+    share=0.001,
+    source=True,
 )
 def mesh_volume(view: ModelView) -> Iterator[Measure]:
     """Measure the volume inside the mesh against the exact one."""

@@ -144,7 +144,7 @@ class Solid:
             "collection": "hand", "name": self.name, "format": "step", "sha256": f"{self.id:064x}",
             "bbox_min": vec(low),
             "bbox_max": vec(high), "diagonal": float(np.linalg.norm(high - low)), "area": area,
-            "volume": volume, "is_closed": closed, "duplicate_group": self.id, "shard": "s0",
+            "volume": volume, "is_valid": True, "is_closed": closed, "duplicate_group": self.id, "shard": "s0",
             "n_parts": len(self.rows("parts")), "n_solids": int(volume is not None),
             "n_patches": len(patches), "n_curves": len(curves),
             "n_corners": len(self.rows("corners")),
