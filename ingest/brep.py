@@ -280,17 +280,13 @@ def _is_closed(shape: Any) -> bool:
 
 def _patch_row(patch_id: int, face: Any, surface: Any, part_id: int) -> Row:
     from OCP.BRep import BRep_Tool
-    from OCP.BRepGProp import BRepGProp
     from OCP.BRepTools import BRepTools
-    from OCP.GProp import GProp_GProps
     from OCP.TopAbs import TopAbs_Orientation, TopAbs_ShapeEnum
 
     u_min, u_max, v_min, v_max = BRepTools.UVBounds_s(face)
     if max(abs(value) for value in (u_min, u_max, v_min, v_max)) > INFINITE:
         raise InputError("unbounded", advise("unbounded", f"patch {patch_id}"))
-    properties = GProp_GProps()
-    with KERNEL():
-        BRepGProp.SurfaceProperties_s(face, properties, INTEGRAL)
+    geometry = surface_row(surface)
     kinds = (TopAbs_ShapeEnum.TopAbs_FACE, TopAbs_ShapeEnum.TopAbs_EDGE)
     tolerances = [BRep_Tool.MaxTolerance_s(face, kind) for kind in kinds]
     tolerances.append(BRep_Tool.MaxTolerance_s(face, TopAbs_ShapeEnum.TopAbs_VERTEX))
@@ -302,11 +298,30 @@ def _patch_row(patch_id: int, face: Any, surface: Any, part_id: int) -> Row:
         "u_max": u_max,
         "v_min": v_min,
         "v_max": v_max,
-        "area": properties.Mass(),
+        "area": _patch_area(face, geometry),
         "n_loops": sum(1 for _ in explore(face, TopAbs_ShapeEnum.TopAbs_WIRE)),
         "tolerance": max(tolerances),
-        **surface_row(surface),
+        **geometry,
     }
+
+
+def _patch_area(face: Any, geometry: Row) -> float:
+    """Return the area of a face, mm^2.
+
+    OCCT has two quadratures, and each fails where the other is good: the fixed one on
+    splines, the adaptive one on full turns of a conic, where it stops by symmetry.
+    """
+    from OCP.BRepGProp import BRepGProp
+    from OCP.GProp import GProp_GProps
+
+    inner = geometry.get("curve") or geometry
+    properties = GProp_GProps()
+    with KERNEL():
+        if inner["type"] in ("BSpline", "Other"):
+            BRepGProp.SurfaceProperties_s(face, properties, INTEGRAL)
+        else:
+            BRepGProp.SurfaceProperties_s(face, properties)
+    return float(properties.Mass())
 
 
 def _coedges(canonical: Canonical, patch_id: int, face: Any) -> list[Coedge]:

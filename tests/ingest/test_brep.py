@@ -173,3 +173,13 @@ def test_face_with_its_wire_the_wrong_way_round(ingest_shape):
 def test_circle_alone_has_a_box(ingest_shape):
     record = ingest_shape(cq.Edge.makeCircle(5))
     assert record.model["diagonal"] == pytest.approx(10 * math.sqrt(2), rel=1e-6)
+
+
+def test_area_of_an_extruded_ellipse(ingest_shape):
+    """OCCT's adaptive quadrature is off by over a percent here, its fixed one by 3e-5."""
+    tube = cq.Workplane().ellipse(40, 20).extrude(100).val()
+    record = ingest_shape(tube)
+    (side,) = [r for r in record.tables["patches"].to_pylist() if r["type"] == "Extrusion"]
+    t = (np.arange(4000) + 0.5) * 2 * math.pi / 4000
+    perimeter = np.hypot(40 * np.sin(t), 20 * np.cos(t)).mean() * 2 * math.pi
+    assert side["area"] == pytest.approx(100 * perimeter, rel=1e-4)
