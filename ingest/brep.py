@@ -310,18 +310,19 @@ def _patch_area(face: Any, geometry: Row) -> float:
     """Return the area of a face, mm^2.
 
     OCCT has two quadratures, and each fails where the other is good: the fixed one on
-    splines, the adaptive one on full turns of a conic, where it stops by symmetry.
+    splines and trimmed quadrics, the adaptive one on full turns of a swept conic, where it
+    stops by symmetry.
     """
     from OCP.BRepGProp import BRepGProp
     from OCP.GProp import GProp_GProps
 
-    inner = geometry.get("curve") or geometry
+    swept = geometry.get("curve")
     properties = GProp_GProps()
     with KERNEL():
-        if inner["type"] in ("BSpline", "Other"):
-            BRepGProp.SurfaceProperties_s(face, properties, INTEGRAL)
-        else:
+        if swept and swept["type"] not in ("BSpline", "Other"):
             BRepGProp.SurfaceProperties_s(face, properties)
+        else:
+            BRepGProp.SurfaceProperties_s(face, properties, INTEGRAL)
     return float(properties.Mass())
 
 
