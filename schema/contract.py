@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -167,8 +167,3 @@ def vec3_array(points: Any, mask: Any = None) -> pa.Array:
     leaves = [pa.array(np.ascontiguousarray(points[:, i])) for i in range(3)]
     null = None if mask is None else pa.array(np.asarray(mask, dtype=bool))
     return pa.StructArray.from_arrays(leaves, fields=list(VEC3), mask=null)
-
-
-def names(columns: Sequence[Column]) -> list[str]:
-    """Return the names of `columns`, in order."""
-    return [column.name for column in columns]
