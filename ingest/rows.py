@@ -36,6 +36,7 @@ def brep_tables(model_id: int, brep: Brep) -> dict[str, pa.Table]:
             "place": use.place,
             "curve_id": use.curve_id,
             "reversed": use.reversed,
+            "internal": use.internal,
         }
         for use in brep.coedges
     ]

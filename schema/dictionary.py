@@ -74,7 +74,11 @@ def type_name(kind: pa.DataType) -> str:
     if pa.types.is_map(kind):
         return f"map of {type_name(kind.key_type)} to {type_name(kind.item_type)}"
     if kind == _CURVE:
-        return "struct of the columns `type` to `weights` of [curves](#curves)"
+        first, last = CURVE_GEOMETRY[0].name, CURVE_GEOMETRY[-1].name
+        return f"struct of the columns `{first}` to `{last}` of [curves](#curves)"
+    if pa.types.is_struct(kind) and kind not in _NAMES:
+        fields = ", ".join(f"`{field.name}` {type_name(field.type)}" for field in kind)
+        return f"struct ({fields})"
     if kind not in _NAMES:
         raise KeyError(f"the data dictionary has no name for the type {kind}")
     return _NAMES[kind]

@@ -13,6 +13,7 @@ from typing import Final
 import pyarrow as pa
 
 from breplake.schema.contract import VEC3, Column, Table
+from breplake.schema.shape_tables import SHAPE_TABLES
 from breplake.schema.types import CURVE_TYPES, SURFACE_TYPES, count_column
 
 __all__ = [
@@ -56,13 +57,19 @@ MODELS = Table(
         Column("collection", _STR, "group of models in which names are unique"),
         Column("name", _STR, "path below the given source without extension"),
         Column("path", _STR, "path of the file as it was given"),
-        Column("format", _STR, "step, iges or brep"),
+        Column("format", _STR, "step, iges, brep or abc"),
         Column("bytes", _I64, "size of the source file", "byte"),
         Column("sha256", _STR, "SHA-256 of the source bytes, hexadecimal"),
         Column("licence", _STR, "licence of the model, where its source states one", nullable=True),
         Column("owner", _STR, "owner of the model, where its source states one", nullable=True),
         Column("source_url", _STR, "where the model was published", nullable=True),
         Column("metadata", pa.map_(_STR, _STR), "other facts that the source states"),
+        Column(
+            "import_repairs",
+            pa.list_(_STR),
+            "faults of original ABC files that were repaired on import; null for CAD files",
+            nullable=True,
+        ),
         Column("length_unit", _STR, "length unit the file declares", nullable=True),
         Column("scale_to_mm", _F64, "millimetres in one such unit, if known", nullable=True),
         Column("n_parts", _I32, "number of parts"),
@@ -116,6 +123,8 @@ MODELS = Table(
         Column("vertex_offset", _I64, "first row in position and feature", nullable=True),
         Column("normal_offset", _I64, "first row in normal, curvature and patch", nullable=True),
         Column("face_offset", _I64, "first row in triangle and its companions", nullable=True),
+        Column("patch_offset", _I64, "first row in the UV-grids of patches", nullable=True),
+        Column("curve_offset", _I64, "first row in the UV-grids of curves", nullable=True),
         Column("occt_version", _STR, "version of OCP, which begins with that of Open CASCADE"),
         Column("gmsh_version", _STR, "version of Gmsh"),
         Column("breplake_version", _STR, "version of breplake"),
@@ -148,6 +157,7 @@ PARTS = Table(
         Column("bbox_min", VEC3, "lower corner of the bounding box", "mm"),
         Column("bbox_max", VEC3, "upper corner of the bounding box", "mm"),
         Column("is_closed", _BOOL, "no curve of the part is a boundary of it"),
+        Column("shape", _I32, "the solid, shell or face in shapes", nullable=True),
     ),
     key=("model_id", "part_id"),
 )
@@ -188,6 +198,9 @@ def _curve_geometry() -> tuple[Column, ...]:
             nullable=True,
         ),
         Column("weights", pa.list_(_F64), "weights; null if not rational", nullable=True),
+        Column("basis_type", _STR, "type of the curve that is offset, for Other", nullable=True),
+        Column("offset", _F64, "distance of the offset", "mm", nullable=True),
+        Column("offset_direction", VEC3, "its reference direction", nullable=True),
     )
 
 
@@ -240,6 +253,8 @@ PATCHES = Table(
             "weights, u first; null if not rational",
             nullable=True,
         ),
+        Column("basis_type", _STR, "type of the surface that is offset, for Other", nullable=True),
+        Column("offset", _F64, "distance of the offset along du x dv", "mm", nullable=True),
         Column("u_min", _F64, "least u of the trimmed patch"),
         Column("u_max", _F64, "greatest u of the trimmed patch"),
         Column("v_min", _F64, "least v of the trimmed patch"),
@@ -249,6 +264,7 @@ PATCHES = Table(
         Column("tolerance", _F64, "largest tolerance of the patch, its curves and corners", "mm"),
         Column("name", _STR, "name in the file", nullable=True),
         Column("colour", _STR, "sRGB colour as #rrggbb", nullable=True),
+        Column("shape", _I32, "the face in shapes", nullable=True),
     ),
     key=("model_id", "patch_id"),
 )
@@ -287,6 +303,7 @@ CURVES = Table(
         Column("sharp", _BOOL, "sharp by ABC's rule (|n0.n1| <= 0.95)"),
         Column("vert_indices", pa.list_(_I32), "mesh vertices along the curve", nullable=True),
         Column("vert_parameters", pa.list_(_F64), "their parameters t", nullable=True),
+        Column("shape", _I32, "the edge in shapes", nullable=True),
     ),
     key=("model_id", "curve_id"),
 )
@@ -301,6 +318,15 @@ COEDGES = Table(
         Column("place", _I32, "place in the loop"),
         Column("curve_id", _I32, "the curve"),
         Column("reversed", _BOOL, "the loop runs against the curve, patch orientation applied"),
+        Column("internal", _BOOL, "lies inside the patch and bounds nothing"),
+        Column(
+            "pcurve",
+            _I32,
+            "pcurve_id on the patch; null on planes, where the curve itself is projected",
+            nullable=True,
+        ),
+        Column("t_min", _F64, "first parameter on the pcurve", nullable=True),
+        Column("t_max", _F64, "last parameter on the pcurve", nullable=True),
     ),
     key=("model_id", "patch_id", "loop", "place"),
 )
@@ -314,6 +340,7 @@ CORNERS = Table(
         Column("point", VEC3, "position", "mm"),
         Column("tolerance", _F64, "tolerance of the vertex", "mm"),
         Column("vertex_id", _I32, "mesh vertex at the corner", nullable=True),
+        Column("shape", _I32, "the vertex in shapes", nullable=True),
     ),
     key=("model_id", "corner_id"),
 )
@@ -399,6 +426,11 @@ FAILURES = Table(
 )
 
 TABLES: Final[dict[str, Table]] = {
-    t.name: t for t in (MODELS, PARTS, PATCHES, CURVES, COEDGES, CORNERS, VERTICES, FACES, FAILURES)
+    t.name: t
+    for t in (
+        *(MODELS, PARTS, PATCHES, CURVES, COEDGES, CORNERS),
+        *SHAPE_TABLES,
+        *(VERTICES, FACES, FAILURES),
+    )
 }
 """All tables by name."""
