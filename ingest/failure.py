@@ -20,10 +20,12 @@ KINDS: Final[dict[str, str]] = {
     "no-shape": "the file holds no shape at all; export the part and not only its metadata",
     "no-patches": "the file holds curves or points but no surface, so there is nothing to mesh",
     "no-geometry": "some face has no surface (a tessellated face, say); export exact geometry",
+    "unknown-geometry": "no table of the lake describes it; please report it with the file",
     "unbounded": "some face or edge is infinite; trim it in the CAD system",
     "count-mismatch": "Gmsh sees other entities than the B-Rep has; the exact rows are kept",
     "mesh-failed": "the model cannot be meshed this way; check the faulty entity in the CAD system",
     "mesh-incomplete": "its boundary is probably faulty; repair the face in the CAD system",
+    "mesh-hang": "Gmsh would not come to an end, so it was stopped; a simpler mesh is tried next",
     "truth-failed": "normals and curvatures could not be derived; the exact rows are kept",
     "timeout": "the model took longer than allowed; more time is given by --timeout",
     "memory": "the model needed more memory than allowed; more is given by --memory",
@@ -34,7 +36,7 @@ KINDS: Final[dict[str, str]] = {
 """Stable, append-only codes of failures, each with what it means for the user."""
 
 
-KILLED: Final = ("timeout", "killed-signal", "worker-died")
+KILLED: Final = ("timeout", "mesh-hang", "killed-signal", "worker-died")
 """Kinds in which the worker did not live to count its CPU time."""
 
 

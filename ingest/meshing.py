@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -14,6 +16,7 @@ from breplake.ingest.failure import advise
 from breplake.ingest.kernel import GmshModel
 from breplake.ingest.mesh import CurveNodes, Mesh
 from breplake.ingest.settings import Settings
+from breplake.ingest.watch import watched
 
 __all__ = ["SIZE", "gmsh_mesh"]
 
@@ -26,7 +29,12 @@ exceed; a little less leaves few edges to split afterwards (``bench/speed/mesh_s
 
 
 def gmsh_mesh(
-    model: GmshModel, limit: float, settings: Settings, kind: str, size: float = SIZE
+    model: GmshModel,
+    limit: float,
+    settings: Settings,
+    kind: str,
+    size: float = SIZE,
+    hangs: Callable[[str], None] | None = None,
 ) -> Mesh:
     """Mesh a model with Gmsh (Frontal-Delaunay).
 
@@ -42,6 +50,8 @@ def gmsh_mesh(
         Uniform, or sized by curvature between the two bounds.
     size : float
         Element size to ask for, in limits.
+    hangs : callable, optional
+        Called from another thread, with the reason, if Gmsh will not come to an end.
 
     Raises
     ------
@@ -58,7 +68,7 @@ def gmsh_mesh(
     gmsh.logger.start()
     complaint: InputError | None = None
     try:
-        with KERNEL():
+        with KERNEL(), watched(gmsh, hangs) if hangs else nullcontext():
             gmsh.model.mesh.generate(2)
     except Exception as error:  # gmsh raises plain Exception for everything
         errors = [line for line in gmsh.logger.get() if line.startswith("Error")]

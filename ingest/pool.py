@@ -19,7 +19,7 @@ from breplake.errors import KernelUnavailableError, MissingExtraError
 from breplake.ingest.failure import Failure, advise
 from breplake.ingest.inputs import Input
 from breplake.ingest.settings import RUNGS, Settings
-from breplake.ingest.spool import Spool
+from breplake.ingest.spool import HANG_EXIT, Spool
 
 __all__ = ["Result", "discard", "run_models"]
 
@@ -170,7 +170,7 @@ def _killed(error: BaseException, result: Result, settings: Settings) -> int | N
         message = advise("timeout", f"{where} ran into the limit of {settings.timeout:g} s")
         killed = Failure(stage, "timeout", message, fatal=False)
     elif isinstance(error, ProcessExpired):
-        killed = _crash(stage, where, error.exitcode)
+        killed = _crash(stage, where, error.exitcode, spool.hang_reason)
     else:
         message = advise("memory", f"{where} passed {settings.memory:g} GiB")
         killed = Failure(stage, "memory", message, fatal=False)
@@ -198,7 +198,10 @@ def _unavailable() -> KernelUnavailableError:
     )
 
 
-def _crash(stage: str, where: str, exitcode: int) -> Failure:
+def _crash(stage: str, where: str, exitcode: int, hang_reason: str) -> Failure:
+    if exitcode == HANG_EXIT and hang_reason:
+        message = advise("mesh-hang", f"{where}: {hang_reason}")
+        return Failure(stage, "mesh-hang", message, fatal=False)
     if exitcode < 0:
         name = signal.Signals(-exitcode).name
         message = advise("killed-signal", f"{where} ended with {name}")

@@ -19,10 +19,13 @@ import pyarrow.feather
 
 from breplake.ingest.geometry import Row
 
-__all__ = ["LEVELS", "Spool"]
+__all__ = ["HANG_EXIT", "LEVELS", "Spool"]
 
 LEVELS: Final = ("brep", "mesh")
 """Records a model may leave: the exact rows, then those with mesh and ground truth."""
+
+HANG_EXIT: Final = 75
+"""Exit code of a worker that ended itself because Gmsh hung."""
 
 _MODEL: Final = "model.json"
 
@@ -48,6 +51,7 @@ class Spool:
         self.mark("read:")
         (self.folder / "notes").unlink(missing_ok=True)
         (self.folder / "begun").unlink(missing_ok=True)
+        (self.folder / "hang").unlink(missing_ok=True)
 
     def begin(self) -> None:
         """Note the time at which the worker takes up the model."""
@@ -57,6 +61,16 @@ class Spool:
         """Return the seconds since the worker took up the model; 0 if it never did."""
         path = self.folder / "begun"
         return time.time() - path.stat().st_mtime if path.exists() else 0.0
+
+    def hang(self, reason: str) -> None:
+        """Note why the worker is about to end itself with `HANG_EXIT`."""
+        (self.folder / "hang").write_text(reason)
+
+    @property
+    def hang_reason(self) -> str:
+        """What `hang` noted; empty if nothing."""
+        path = self.folder / "hang"
+        return path.read_text() if path.exists() else ""
 
     def note(self, failure: Row) -> None:
         """Keep a failure in case the worker does not live to return it."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import os
 import shutil
 import time
 import zlib
@@ -29,7 +30,7 @@ from breplake.ingest.meshing import gmsh_mesh
 from breplake.ingest.refine import refine, surface_periods
 from breplake.ingest.rows import brep_columns, brep_tables, mesh_columns, mesh_tables
 from breplake.ingest.settings import RUNGS, Settings
-from breplake.ingest.spool import Spool
+from breplake.ingest.spool import HANG_EXIT, Spool
 from breplake.ingest.tessellation import tessellate
 from breplake.ingest.truth import derive, wind
 from breplake.ingest.versions import versions
@@ -237,11 +238,16 @@ class _Model:
 
     def _mesh(self, model: GmshModel | ClosedForm, rung: str, limit: float) -> Mesh:
         if isinstance(model, GmshModel) and rung != "tessellation":
-            mesh = gmsh_mesh(model, limit, self.settings, rung)
+            mesh = gmsh_mesh(model, limit, self.settings, rung, hangs=self._hang)
         else:
             mesh = tessellate(model, limit)
         self.periods = surface_periods(model.brep)
         return refine(mesh, model, self.periods, limit, 2 * self.settings.max_triangles)
+
+    def _hang(self, reason: str) -> None:
+        """End the process, which is the only way to stop Gmsh; the parent reads why."""
+        self.spool.hang(reason)
+        os._exit(HANG_EXIT)
 
     def _truth(self, model: GmshModel | ClosedForm, mesh: Mesh, limit: float) -> None:
         flipped = np.array([row["reversed"] for row in model.brep.patches], dtype=bool)

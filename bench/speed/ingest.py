@@ -35,7 +35,7 @@ def report(lake: breplake.Lake) -> list[str]:
     killed, fatal, n_fatal = lake.sql(
         """
         SELECT coalesce(sum(seconds) FILTER (
-                   kind IN ('timeout', 'killed-signal', 'worker-died')), 0),
+                   kind IN ('timeout', 'mesh-hang', 'killed-signal', 'worker-died')), 0),
                coalesce(sum(seconds) FILTER (fatal), 0),
                count(*) FILTER (fatal)
         FROM failures
@@ -54,7 +54,7 @@ def report(lake: breplake.Lake) -> list[str]:
     lost = lake.sql(
         """
         SELECT coalesce(sum(f.seconds), 0) FROM failures f JOIN models m USING (model_id)
-        WHERE f.kind IN ('timeout', 'killed-signal', 'worker-died')
+        WHERE f.kind IN ('timeout', 'mesh-hang', 'killed-signal', 'worker-died')
         """
     ).fetchall()[0][0]
     share = column("cpu_kernel").sum() / (total.sum() - lost)
