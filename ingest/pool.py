@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import concurrent.futures
+import errno
 import multiprocessing
 import os
 import resource
@@ -10,7 +11,8 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -18,6 +20,7 @@ from typing import Any, Final
 from breplake.errors import KernelUnavailableError, MissingExtraError
 from breplake.ingest.failure import Failure, advise
 from breplake.ingest.inputs import Input
+from breplake.ingest.orphans import die_with_parent
 from breplake.ingest.settings import RUNGS, Settings
 from breplake.ingest.spool import HANG_EXIT, Spool
 
@@ -25,6 +28,9 @@ __all__ = ["Result", "discard", "run_models"]
 
 _AHEAD: Final = 4
 """Tasks waiting for each worker: enough to keep it busy, few enough to stop quickly."""
+
+_PAUSE: Final = 0.5
+"""Seconds after which a quiet pool looks whether it is to stop."""
 
 
 @dataclass(slots=True)
@@ -52,7 +58,11 @@ class Result:
 
 
 def run_models(
-    inputs: Sequence[Input], settings: Settings, jobs: int, folder: Path
+    inputs: Sequence[Input],
+    settings: Settings,
+    jobs: int,
+    spools: Callable[[Input], Spool],
+    stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[Result]:
     """Ingest every input in an isolated process and yield the results as they come.
 
@@ -68,26 +78,30 @@ def run_models(
         Limits and mesh.
     jobs : int
         Number of processes.
-    folder : Path
-        Existing folder for the spools; each is the caller's to delete.
+    spools : callable
+        Gives the spool of an input, whose folder does not exist; it is the caller's to delete.
+    stop : callable
+        Asked about twice a second; once it returns True the models in work are given up.
+
+    Raises
+    ------
+    OSError
+        With ``ENOSPC`` if a worker finds the disk full: no model is to blame for that.
     """
-    waiting = [
-        Result(item, Spool(folder / f"{i:07d}"), [item.failure] if item.failure else [])
-        for i, item in enumerate(inputs)
-    ]
-    waiting.reverse()
+    waiting = list(reversed(inputs))
     running: dict[Any, Result] = {}
     pool = _pool(jobs, settings)
     try:
-        while waiting or running:
+        while (waiting or running) and not stop():
             while waiting and len(running) < jobs * _AHEAD:
-                result = waiting.pop()
+                item = waiting.pop()
+                result = Result(item, spools(item), [item.failure] if item.failure else [])
                 result.spool.folder.mkdir()
                 if result.failures:
                     yield result
                 else:
                     running[_submit(pool, result, settings, 0)] = result
-            done, _ = concurrent.futures.wait(running, return_when="FIRST_COMPLETED")
+            done, _ = concurrent.futures.wait(running, _PAUSE, return_when="FIRST_COMPLETED")
             for future in done:
                 result = running.pop(future)
                 again = _take(future, result, settings)
@@ -95,6 +109,8 @@ def run_models(
                     running[_submit(pool, result, settings, again)] = result
                 else:
                     yield result
+    except BrokenExecutor as error:
+        raise _unavailable() from error
     finally:
         pool.stop()
         pool.join()
@@ -119,6 +135,7 @@ def _confine(limit: int) -> None:
     total = pages * resource.getpagesize() + limit
     resource.setrlimit(resource.RLIMIT_AS, (total, total))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    die_with_parent()
     # Ctrl-C goes to the whole group; the parent alone decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Some of OCCT's messages go past its messenger, straight to the standard output.
@@ -145,17 +162,17 @@ def _call(item: Input, settings: Settings, spool: Spool, rung: int) -> list[Fail
 
 def _take(future: Any, result: Result, settings: Settings) -> int | None:
     """Add a finished attempt to its result; return the rung to try next, if any."""
-    from concurrent.futures import BrokenExecutor
-
     from pebble import ProcessExpired
 
     try:
         result.failures += future.result()
-        return None
-    except BrokenExecutor as error:
-        raise _unavailable() from error
+    except BrokenExecutor:
+        raise
     except (concurrent.futures.TimeoutError, ProcessExpired, MemoryError) as error:
         return _killed(error, result, settings)
+    if any(failure.kind == "disk-full" for failure in result.failures):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(result.spool.folder))
+    return None
 
 
 def _killed(error: BaseException, result: Result, settings: Settings) -> int | None:

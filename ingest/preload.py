@@ -1,11 +1,16 @@
 """What the fork server imports once, so that each worker starts in milliseconds.
 
-Listed in ``ingest.pool``; importing it anywhere else loads Open CASCADE and Gmsh.
+Listed in ``ingest.pool``; importing it anywhere else loads Open CASCADE and Gmsh, and ties the
+process to its parent.
 """
 
 import gmsh
 import OCP
 
 import breplake.ingest.worker
+from breplake.ingest.orphans import die_with_parent
 
 __all__ = ["OCP", "breplake", "gmsh"]
+
+# The fork server, and with it the workers, is not to outlive a run that was killed.
+die_with_parent()

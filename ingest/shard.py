@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -22,7 +22,7 @@ from breplake.schema.lake import LakeStore
 from breplake.schema.snapshot import FileEntry
 from breplake.schema.tables import FACES, FAILURES, MODELS, TABLES, VERTICES
 
-__all__ = ["SHARD_MODELS", "shard_name", "write_shard"]
+__all__ = ["SHARD_MODELS", "fresh_name", "shard_name", "write_shard", "write_table"]
 
 SHARD_MODELS: Final = 256
 """Inputs in a shard."""
@@ -54,7 +54,7 @@ def write_shard(store: LakeStore, results: Sequence[Result], config_hash: str) -
     config_hash : str
         Of the settings.
     """
-    name = _fresh_name(store, shard_name(results, config_hash))
+    name = fresh_name(store, shard_name(results, config_hash))
     ordered = sorted(results, key=lambda result: result.input.model_id)
     recorded = [result for result in ordered if result.recorded]
     rows = [_finished(result, name) for result in recorded]
@@ -66,17 +66,17 @@ def write_shard(store: LakeStore, results: Sequence[Result], config_hash: str) -
                     row |= _append(arrays, result)
     failures = [row for result in ordered for row in _failure_rows(result, config_hash)]
     if rows:
-        _write(store, name, MODELS, [MODELS.from_rows(rows)])
+        write_table(store, name, MODELS, [MODELS.from_rows(rows)])
     if failures:
-        _write(store, name, FAILURES, [FAILURES.from_rows(failures)])
+        write_table(store, name, FAILURES, [FAILURES.from_rows(failures)])
     for table in TABLES.values():
         if table not in (MODELS, FAILURES):
             parts = (result.spool.read_table(table.name) for result in recorded)
-            _write(store, name, table, (part for part in parts if part is not None))
+            write_table(store, name, table, (part for part in parts if part is not None))
     return store.register_shard(name)
 
 
-def _fresh_name(store: LakeStore, name: str) -> str:
+def fresh_name(store: LakeStore, name: str) -> str:
     """Return `name`, or `name` with a number if a snapshot has files of that name already.
 
     Files that no snapshot names are what an interrupted run left; they make room.
@@ -179,8 +179,20 @@ def _feature(vertices: pa.Table, curves: pa.Table) -> Any:
     return feature
 
 
-def _write(store: LakeStore, shard: str, table: Table, parts: Any) -> None:
-    """Write `parts` as one Parquet file, gathering them into full row groups."""
+def write_table(store: LakeStore, shard: str, table: Table, parts: Iterable[pa.Table]) -> None:
+    """Write tables as one Parquet file, gathering them into full row groups.
+
+    Parameters
+    ----------
+    store : LakeStore
+        The lake.
+    shard : str
+        Name of the shard.
+    table : Table
+        Its contract.
+    parts : iterable of pyarrow.Table
+        In order; without a row no file is written.
+    """
     writer: pq.ParquetWriter | None = None
     waiting: list[pa.Table] = []
     n_waiting = 0

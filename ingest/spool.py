@@ -53,9 +53,15 @@ class Spool:
         (self.folder / "begun").unlink(missing_ok=True)
         (self.folder / "hang").unlink(missing_ok=True)
 
-    def begin(self) -> None:
-        """Note the time at which the worker takes up the model."""
-        (self.folder / "begun").touch()
+    def begin(self, name: str) -> None:
+        """Note the time at which the worker takes up the model called `name`."""
+        (self.folder / "begun").write_text(name)
+
+    @property
+    def begun(self) -> str | None:
+        """Name of the model, once a worker has taken it up."""
+        path = self.folder / "begun"
+        return path.read_text() if path.exists() else None
 
     def age(self) -> float:
         """Return the seconds since the worker took up the model; 0 if it never did."""

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import gzip
+import errno
 import os
-import shutil
 import time
-import zlib
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -33,12 +30,10 @@ from breplake.ingest.settings import RUNGS, Settings
 from breplake.ingest.spool import HANG_EXIT, Spool
 from breplake.ingest.tessellation import tessellate
 from breplake.ingest.truth import derive, wind
+from breplake.ingest.unpack import unpacked
 from breplake.ingest.versions import versions
 
-__all__ = ["MAX_UNPACKED", "Task", "silence", "work"]
-
-MAX_UNPACKED: Final = 4 * 2**30
-"""Bytes a compressed file may unpack to: far beyond any CAD file, far below a bomb."""
+__all__ = ["Task", "silence", "work"]
 
 _HONOURED: Final = 1.05
 """A mesh whose longest edge is within this factor of the limit honours it."""
@@ -78,7 +73,7 @@ def work(task: Task) -> list[Failure]:
     list of Failure
         Fatal ones leave no record; after others the record holds what was done.
     """
-    task.spool.begin()
+    task.spool.begin(task.input.name)
     clock = StageClock(task.spool.mark)
     failures: list[Failure] = []
     try:
@@ -94,6 +89,8 @@ def _failure(clock: StageClock, error: Exception, *, fatal: bool) -> Failure:
         kind, message = error.kind, str(error)
     elif isinstance(error, MemoryError):
         kind, message = "memory", advise("memory", str(error))
+    elif isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+        kind, message = "disk-full", advise("disk-full", str(error))
     else:
         kind = {"mesh": "mesh-failed", "truth": "truth-failed"}.get(clock.current, "error")
         message = advise(kind, f"{type(error).__name__}: {error}")
@@ -114,7 +111,7 @@ class _Model:
 
     def run(self) -> None:
         with self.clock.stage("read"):
-            path = self._unpacked()
+            path = unpacked(self.input.path, self.input.format, self.spool.folder)
         with self.clock.stage("load"), KERNEL():
             document = load(path, self.input.format)
         with self.clock.stage("brep"):
@@ -125,18 +122,6 @@ class _Model:
                 raise InputError("no-patches", advise("no-patches", ""))
         with gmsh_session() as gmsh:
             self._add_mesh(gmsh, brep)
-
-    def _unpacked(self) -> Path:
-        source = self.input.path
-        if source.suffix.lower() != ".gz":
-            return source
-        target = self.spool.folder / f"unpacked.{self.input.format}"
-        try:
-            with gzip.open(source) as packed, target.open("wb") as plain:
-                shutil.copyfileobj(_Limited(packed, MAX_UNPACKED), plain, 2**20)
-        except (OSError, EOFError, zlib.error) as error:
-            raise InputError("bad-archive", advise("bad-archive", str(error))) from error
-        return target
 
     def _brep(self, document: Document) -> Brep:
         from OCP.BRepCheck import BRepCheck_Analyzer
@@ -259,20 +244,6 @@ class _Model:
             raise InputError("mesh-failed", advise("mesh-failed", detail))
         self.tables |= mesh_tables(self.id, model.brep, self.tables, mesh, truth)
         self.row |= columns
-
-
-class _Limited:
-    """A readable file that refuses to give more than so many bytes."""
-
-    def __init__(self, file: Any, most: int) -> None:
-        self.file, self.left = file, most
-
-    def read(self, size: int = -1, /) -> bytes:
-        data: bytes = self.file.read(size)
-        self.left -= len(data)
-        if self.left < 0:
-            raise OSError(f"it unpacks to more than {MAX_UNPACKED} bytes")
-        return data
 
 
 def silence() -> None:

@@ -7,10 +7,12 @@
     │   ├── LakeNotFoundError      (FileNotFoundError) no lake at that place
     │   ├── LakeFormatError        (ValueError) not a lake of a version we can read
     │   ├── NameNotFoundError      (LookupError) no such snapshot, tag, table or model
-    │   └── CommitConflictError    (RuntimeError) two writers claim the same models
+    │   ├── CommitConflictError    (RuntimeError) two writers claim the same models
+    │   └── StorageError           (OSError) the lake cannot be written: no space, no permission
     ├── InputError                 (ValueError) one CAD file: becomes a row of ``failures``
     ├── KernelUnavailableError     (OSError) the CAD kernels cannot be loaded here
     ├── UsageError                 (ValueError) an argument breaks a rule
+    ├── LimitError                 (RuntimeError) something took more than it was allowed
     └── MissingExtraError          (ImportError) an optional dependency is not installed
 
 Every error says the rule, the value that broke it and the next step.  ``kind`` is
@@ -27,8 +29,10 @@ __all__ = [
     "LakeError",
     "LakeFormatError",
     "LakeNotFoundError",
+    "LimitError",
     "MissingExtraError",
     "NameNotFoundError",
+    "StorageError",
     "UsageError",
 ]
 
@@ -75,6 +79,12 @@ class CommitConflictError(LakeError, RuntimeError):
     kind = "commit-conflict"
 
 
+class StorageError(LakeError, OSError):
+    """The lake cannot be written: no space, no permission."""
+
+    kind = "storage"
+
+
 class InputError(BreplakeError, ValueError):
     """One CAD file cannot be turned into a model.
 
@@ -105,6 +115,12 @@ class UsageError(BreplakeError, ValueError):
     """An argument breaks a rule."""
 
     kind = "usage"
+
+
+class LimitError(BreplakeError, RuntimeError):
+    """Something took more time, memory or room than it was allowed."""
+
+    kind = "limit"
 
 
 class MissingExtraError(BreplakeError, ImportError):

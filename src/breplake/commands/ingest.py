@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from breplake.commands.options import LakeOption, console
+from breplake.errors import UsageError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from breplake.ingest.run import Plan, Summary
+    from breplake.ingest.plan import Plan
+    from breplake.ingest.run import Summary
 
 __all__ = ["ingest"]
 
@@ -21,8 +27,9 @@ _NAMED = 5  # changed files that are named before "and N more"
 
 def ingest(
     sources: Annotated[
-        list[Path], typer.Argument(help="CAD files and folders of them.", metavar="SOURCE...")
-    ],
+        list[Path] | None,
+        typer.Argument(help="CAD files and folders of them.", metavar="SOURCE..."),
+    ] = None,
     lake: LakeOption = Path("lake"),
     collection: Annotated[
         str | None,
@@ -43,18 +50,41 @@ def ingest(
     message: Annotated[
         str | None, typer.Option("--message", "-m", help="Message of the snapshots.")
     ] = None,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Ingest files again whose bytes or settings changed.")
+    ] = False,
+    retry_failures: Annotated[
+        bool, typer.Option("--retry-failures", help="Try again what failed or has no mesh.")
+    ] = False,
+    kind: Annotated[
+        list[str] | None,
+        typer.Option(help="Retry only failures of this kind; may be given more than once."),
+    ] = None,
+    log: Annotated[
+        Path | None, typer.Option(help="Append a line of JSON for each event to this file.")
+    ] = None,
+    status: Annotated[
+        bool, typer.Option("--status", help="Say what ingests run on the lake, and end.")
+    ] = False,
 ) -> None:
     """Read CAD files, mesh them, derive the ground truth, and commit it all to a lake.
 
     Files are STEP (.step .stp .p21), IGES (.iges .igs) or BREP (.brep .brp), also with .gz.
-    Every file ends as a row of models or of failures; what is in the lake is skipped.
+    Every file ends as a row of models or of failures; what is in the lake is skipped. A run
+    that was stopped or killed is taken up by the same command.
     """
+    if status:
+        _report_status(console(), lake)
+        return
+    if not sources:
+        raise UsageError("nothing to ingest: give CAD files or folders as SOURCE")
+    from breplake.ingest.plan import Redo
     from breplake.ingest.run import ingest as run
     from breplake.ingest.settings import Settings
 
     settings = Settings(mesh=mesh, max_edge=max_edge, timeout=timeout, memory=memory)
     errors = console(error=True)
-    with _Bar(errors) as bar:
+    with _Bar(errors) as bar, _stop_signals(errors) as stop:
         summary = run(
             sources,
             lake,
@@ -62,9 +92,56 @@ def ingest(
             collection=collection,
             jobs=jobs,
             message=message,
+            redo=Redo(changed=replace, failed=retry_failures, kinds=tuple(kind or ())),
             progress=bar.update,
+            stop=stop,
+            log=log,
         )
     _report(console(), summary, lake)
+    if summary.stopped:
+        raise typer.Exit(130)
+
+
+@contextmanager
+def _stop_signals(errors: Console) -> Iterator[Callable[[], bool]]:
+    """Make the first Ctrl-C or SIGTERM a request to end well; the second ends at once."""
+    asked: list[int] = []
+
+    def ask(number: int, _frame: object) -> None:
+        if asked:
+            raise KeyboardInterrupt
+        asked.append(number)
+        errors.print("stopping: what is finished is being committed (again to stop at once)")
+
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, ask) for number in numbers}
+    try:
+        yield lambda: bool(asked)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _report_status(out: Console, lake: Path) -> None:
+    """Print the ingests that run on a lake, and what their workers do."""
+    from rich.markup import escape
+
+    from breplake.ingest.workspace import running
+    from breplake.schema.lake import LakeStore
+
+    runs = running(LakeStore.open(lake).root)
+    if not runs:
+        out.print(f"no ingest runs on {escape(str(lake))}")
+    for run in runs:
+        hours, rest = divmod(int(time.time() - run["started"]), 3600)
+        out.print(
+            f"process {run['pid']} on {escape(run['host'])} for {hours}:{rest // 60:02d} h: "
+            f"{run['done']} of {run['todo']} done, {run['failed']} failed "
+            f"({escape(run['message'])})"
+        )
+        for model in run["now"]:
+            where = f"{model['stage']} {model['detail']}".strip()
+            out.print(f"  {where} for {model['seconds']:.0f} s: {escape(model['name'])}")
 
 
 class _Bar:
@@ -103,11 +180,11 @@ class _Bar:
 
     def update(self, plan: Plan, summary: Summary) -> None:
         """Show where the run stands."""
-        done = summary.n_models + summary.n_fatal
+        done = summary.n_done
         elapsed = self.bar.tasks[0].elapsed or 0.0
         rate = f"{60 * done / elapsed:.0f}/min" if done and elapsed else ""
         failed = f"{summary.n_fatal} failed" if summary.n_fatal else ""
-        self.bar.update(self.task, total=len(plan.new), completed=done, rate=rate, failed=failed)
+        self.bar.update(self.task, total=len(plan.todo), completed=done, rate=rate, failed=failed)
 
 
 def _report(out: Console, summary: Summary, lake: Path) -> None:
@@ -117,27 +194,34 @@ def _report(out: Console, summary: Summary, lake: Path) -> None:
     plan = summary.plan
     if plan.unchanged:
         out.print(f"{_files(len(plan.unchanged))} in the lake already, unchanged")
-        if plan.n_failed_before:
-            out.print(
-                f"{_files(plan.n_failed_before)} of them failed before; to try again with other "
-                "limits, ingest into a new lake or another --collection"
-            )
-    if plan.changed:
-        names = escape(", ".join(item.name for item in plan.changed[:_NAMED]))
-        more = f" and {len(plan.changed) - _NAMED} more" if len(plan.changed) > _NAMED else ""
+    given_up = [item for item in plan.failed if item.model_id not in plan.redone]
+    if given_up:
         out.print(
-            f"[yellow]{_files(len(plan.changed))} not ingested: in the lake with other content "
-            f"or settings ({names}{more}); ingest into a new lake or another --collection"
+            f"{_files(len(given_up))} of them failed before; "
+            "to try again, with other limits say, add --retry-failures"
         )
-    if not plan.new:
-        found = plan.unchanged or plan.changed
-        out.print("nothing is new" if found else "no CAD files found in the sources")
+    left = [item for item in plan.changed if item.model_id not in plan.redone]
+    if left:
+        names = escape(", ".join(item.name for item in left[:_NAMED]))
+        more = f" and {len(left) - _NAMED} more" if len(left) > _NAMED else ""
+        out.print(
+            f"[yellow]{_files(len(left))} not ingested: in the lake with other content "
+            f"or settings ({names}{more}); to replace them add --replace"
+        )
+    if not plan.todo:
+        out.print("nothing is new" if plan.inputs else "no CAD files found in the sources")
         return
+    resumed = f" ({summary.n_resumed} of them before)" if summary.n_resumed else ""
     out.print(
-        f"{_files(len(plan.new))} ingested in {summary.seconds:.0f} s "
+        f"{_files(summary.n_done)} ingested{resumed} in {summary.seconds:.0f} s "
         f"({summary.cpu_seconds:.0f} s of CPU): {summary.n_models} models, "
         f"{summary.n_meshed} of them with mesh and ground truth; {summary.n_fatal} failed"
     )
+    if summary.stopped:
+        out.print(
+            f"[yellow]stopped with {len(plan.todo) - summary.n_done} left: "
+            "the same command goes on from here"
+        )
     if summary.kinds:
         from rich.table import Table
 
