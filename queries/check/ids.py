@@ -9,6 +9,13 @@ import numpy as np
 
 from breplake.queries.check.rules import Measure, model_rule, place
 from breplake.queries.check.view import MISSING, ModelView
+from breplake.schema.shape_tables import (
+    CONTINUITIES,
+    CURVE_CLASSES,
+    EDGE_CURVE_KINDS,
+    SHAPE_TYPES,
+    SURFACE_CLASSES,
+)
 from breplake.schema.types import CURVE_KINDS, CURVE_TYPES, MESH_KINDS, SURFACE_TYPES
 
 __all__ = ["REFERENCES"]
@@ -20,6 +27,11 @@ _IDS: Final = (
     ("corners", "corner_id"),
     ("vertices", "normal_id"),
     ("faces", "face_id"),
+    ("shapes", "shape_id"),
+    ("motions", "motion_id"),
+    ("surfaces", "surface_id"),
+    ("space_curves", "space_curve_id"),
+    ("pcurves", "pcurve_id"),
 )
 
 REFERENCES: Final = (
@@ -41,6 +53,19 @@ REFERENCES: Final = (
     ("faces", "n1", "vertices", False),
     ("faces", "n2", "vertices", False),
     ("faces", "patch_id", "patches", False),
+    *((table, "shape", "shapes", True) for table in ("parts", "patches", "curves", "corners")),
+    ("coedges", "pcurve", "pcurves", True),
+    ("shapes", "surface", "surfaces", True),
+    ("edge_curves", "shape_id", "shapes", False),
+    ("edge_curves", "space_curve", "space_curves", True),
+    ("edge_curves", "surface", "surfaces", True),
+    ("edge_curves", "surface2", "surfaces", True),
+    ("edge_curves", "pcurve", "pcurves", True),
+    ("edge_curves", "pcurve2", "pcurves", True),
+    ("surfaces", "space_curve", "space_curves", True),
+    ("surfaces", "basis", "surfaces", True),
+    ("space_curves", "basis", "space_curves", True),
+    ("pcurves", "basis", "pcurves", True),
 )
 """Table, column, what it points to, and whether it may be null."""
 
@@ -50,6 +75,12 @@ _WORDS: Final = (
     ("curves", "type", CURVE_TYPES, False),
     ("curves", "kind", CURVE_KINDS, False),
     ("curves", "convexity", ("convex", "concave", "mixed"), True),
+    ("shapes", "type", SHAPE_TYPES, False),
+    ("edge_curves", "kind", EDGE_CURVE_KINDS, False),
+    ("edge_curves", "continuity", CONTINUITIES, True),
+    ("surfaces", "type", SURFACE_CLASSES, False),
+    ("space_curves", "type", CURVE_CLASSES, False),
+    ("pcurves", "type", CURVE_CLASSES, False),
 )
 
 

@@ -11,12 +11,14 @@ import pyarrow.parquet as pq
 
 from breplake.queries.check import arrays as _arrays
 from breplake.queries.check import (
+    coedges,
     counts,
     curves,
     ids,
     parameters,
     parts,
     points,
+    shapes,
     topology,
     triangles,
 )
@@ -37,7 +39,10 @@ __all__ = ["ORDERED_RULES", "Progress", "check_lake", "check_model"]
 Progress = Callable[[int, int, str], None]
 """Called with models done, models in all, and the name of the last one."""
 
-RULE_MODULES = (ids, counts, parts, topology, parameters, curves, points, triangles, _arrays)
+RULE_MODULES = (
+    *(ids, counts, parts, topology, shapes, parameters, curves, coedges),
+    *(points, triangles, _arrays),
+)
 """The modules whose rules are registered by importing them."""
 
 _ORDER = {module.__name__: place for place, module in enumerate(RULE_MODULES)}

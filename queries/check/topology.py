@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from breplake.queries.check.rules import Measure, model_rule, place
 from breplake.queries.check.view import MISSING, Ints, ModelView
 
-__all__: list[str] = []
+__all__ = ["loop_numbers", "next_in_loop"]
 
 _NEEDS = ("ids-dense", "references", "words")
 
@@ -108,8 +108,8 @@ def loops_close(view: ModelView) -> Iterator[Measure]:
         view.ints("curves", "end_corner")[curve],
     )
     start, stop = np.where(against, last, first), np.where(against, first, last)
-    loop = _loop_numbers(view)
-    after = _next_in_loop(loop)
+    loop = loop_numbers(view)
+    after = next_in_loop(loop)
     whole = (start != MISSING) & (stop != MISSING)
     checked = whole & whole[after] if len(loop) else whole
     forward, backward = (stop == start[after]) | ~checked, (start == stop[after]) | ~checked
@@ -122,14 +122,14 @@ def loops_close(view: ModelView) -> Iterator[Measure]:
     yield Measure.of_truth(broken == 0, lambda i: f"patch {patch[head[i]]}, loop {number[head[i]]}")
 
 
-def _loop_numbers(view: ModelView) -> Ints:
+def loop_numbers(view: ModelView) -> Ints:
     """Return a number for each loop of a model, ``(n_coedges,)``."""
     patch, loop = view.ints("coedges", "patch_id"), view.ints("coedges", "loop")
     new = (np.diff(patch, prepend=-1) != 0) | (np.diff(loop, prepend=-1) != 0)
     return np.asarray(np.cumsum(new) - 1)
 
 
-def _next_in_loop(loop: Ints) -> Ints:
+def next_in_loop(loop: Ints) -> Ints:
     """Return for each coedge the row of the next one, the last leading back to the first."""
     rows = np.arange(len(loop))
     after = rows + 1
