@@ -111,7 +111,7 @@ MODELS = Table(
         Column(
             "fingerprint",
             _STR,
-            "hash of measures that keep under rigid motion; null without patches",
+            "form-hand-size: the same for copies, however placed or written; null without patches",
             nullable=True,
         ),
         Column(

@@ -10,7 +10,7 @@ import pytest
 pytest.importorskip("OCP")
 
 from breplake.errors import UsageError
-from breplake.ingest.measures import duplicate_group, fingerprint, is_single_primitive
+from breplake.ingest.measures import duplicate_group, is_single_primitive
 from breplake.ingest.quality import measure
 from breplake.ingest.settings import Settings
 from breplake.ingest.sharpness import Dihedral, classify
@@ -96,16 +96,6 @@ def rows(*types):
 def test_single_primitive(patches, corners, curves, expected):
     assert is_single_primitive(1, patches, corners, curves) is expected
     assert not is_single_primitive(2, patches, corners, curves)
-
-
-def test_fingerprint_tells_parts_apart():
-    patches = [{"type": "Plane", "area": 12.5}, {"type": "Torus", "area": 3.0}]
-    curves = [{"type": "Line", "length": 2.0}, {"type": "Other", "length": None}]
-    same = fingerprint(patches[::-1], curves[::-1], 7.0)
-    assert fingerprint(patches, curves, 7.0) == same
-    assert fingerprint(patches, curves, 7.007) != same
-    assert fingerprint([patches[0] | {"area": 12.5125}, patches[1]], curves, 7.0) != same
-    assert fingerprint([], curves, None) is None
 
 
 def test_duplicate_group_is_a_function_of_the_fingerprint():
