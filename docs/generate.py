@@ -1,6 +1,7 @@
 """Write the pages of ``docs/`` that are made from the code: ``make docs``.
 
-``tables.md`` comes from the column contract, ``cli.md`` from the commands and their help.
+``tables.md`` comes from the column contract, ``queries.md`` from the headers of the query library,
+``cli.md`` from the commands and their help.
 ``python docs/generate.py --check`` writes nothing and ends with 1 if a page is out of date.
 """
 
@@ -15,6 +16,7 @@ from typing import Any
 import typer
 
 from breplake.cli import app
+from breplake.queries.named_page import library_page
 from breplake.schema.dictionary import dictionary
 
 __all__ = ["PAGES", "cli_page", "commands", "main"]
@@ -79,7 +81,7 @@ def cli_page() -> str:
     return "\n".join([_HEAD, *sections])
 
 
-PAGES = {"tables.md": dictionary, "cli.md": cli_page}
+PAGES = {"tables.md": dictionary, "queries.md": library_page, "cli.md": cli_page}
 """Name of a page in ``docs/`` and the function that makes its text."""
 
 

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
+import pyarrow as pa
 
 from breplake.errors import InputError
 from breplake.ingest.canonical import Canonical, PartShape, explore, shape_list
@@ -16,6 +17,7 @@ from breplake.ingest.clock import KERNEL
 from breplake.ingest.failure import advise
 from breplake.ingest.geometry import Row, curve_row, surface_row, untrimmed
 from breplake.ingest.load import Label
+from breplake.ingest.lossless.graph import PcurveUse, ShapeGraph
 from breplake.ingest.sharpness import Crease, Dihedral, classify, measure
 from breplake.schema.tables import PATCHES
 
@@ -44,6 +46,7 @@ class Coedge:
     curve_id: int
     reversed: bool
     internal: bool
+    pcurve: PcurveUse
 
 
 @dataclass(slots=True)
@@ -62,6 +65,10 @@ class Brep:
         Rows without model_id.
     coedges : list of Coedge
         In order of patch, loop and place.
+    graph : ShapeGraph
+        The shapes as they are stored.
+    patch_table : pyarrow.Table
+        `patches` as a table, with model_id 0.
     """
 
     canonical: Canonical
@@ -74,6 +81,8 @@ class Brep:
     curves: list[Row]
     coedges: list[Coedge]
     corners: list[Row]
+    graph: ShapeGraph
+    patch_table: pa.Table
 
     @property
     def diagonal(self) -> float:
@@ -129,19 +138,29 @@ def extract(canonical: Canonical, labels: Sequence[Label]) -> Brep:
             raise InputError("no-geometry", advise("no-geometry", f"patch {patch_id}"))
     names = _names(canonical, labels)
     part_of = _part_of_patch(canonical, len(faces))
-    coedges = [use for i, face in enumerate(faces) for use in _coedges(canonical, i, face)]
+    graph = ShapeGraph(canonical.compound)
+    coedges = [use for i, face in enumerate(faces) for use in _coedges(canonical, graph, i, face)]
     patches = [
-        _patch_row(i, face, surfaces[i], part_of[i]) | names["patch", i]
+        _patch_row(i, face, surfaces[i], part_of[i])
+        | names["patch", i]
+        | {"shape": graph.number(face)}
         for i, face in enumerate(faces)
     ]
     parts = [
-        _part_row(i, part, _area(canonical, part, patches)) | names["part", i]
+        _part_row(i, part, _area(canonical, part, patches))
+        | names["part", i]
+        | {"shape": graph.number(part.shape)}
         for i, part in enumerate(canonical.parts)
     ]
     for patch in patches:
         patch.setdefault("colour", parts[patch["part_id"]].get("colour"))
     corners = [
-        {"corner_id": i, "point": _xyz(BRep_Tool.Pnt_s(v)), "tolerance": BRep_Tool.Tolerance_s(v)}
+        {
+            "corner_id": i,
+            "point": _xyz(BRep_Tool.Pnt_s(v)),
+            "tolerance": BRep_Tool.Tolerance_s(v),
+            "shape": graph.number(v),
+        }
         for i, v in enumerate(vertices)
     ]
     uses: dict[int, list[Coedge]] = defaultdict(list)
@@ -153,11 +172,24 @@ def extract(canonical: Canonical, labels: Sequence[Label]) -> Brep:
         zip(creases, measure(list(creases.values()), faces, surfaces, table), strict=True)
     )
     curves = [
-        _curve_row(i, edge, canonical) | _role_row(edge, uses[i], angles.get(i), faces)
+        _curve_row(i, edge, canonical)
+        | _role_row(edge, uses[i], angles.get(i), faces)
+        | {"shape": graph.number(edge)}
         for i, edge in enumerate(edges)
     ]
     return Brep(
-        canonical, faces, edges, vertices, surfaces, parts, patches, curves, coedges, corners
+        canonical,
+        faces,
+        edges,
+        vertices,
+        surfaces,
+        parts,
+        patches,
+        curves,
+        coedges,
+        corners,
+        graph,
+        table,
     )
 
 
@@ -316,17 +348,17 @@ def _patch_area(face: Any, geometry: Row) -> float:
     from OCP.BRepGProp import BRepGProp
     from OCP.GProp import GProp_GProps
 
-    swept = geometry.get("curve")
+    swept = geometry["type"] in ("Revolution", "Extrusion")
     properties = GProp_GProps()
     with KERNEL():
-        if swept and swept["type"] not in ("BSpline", "Other"):
+        if swept and geometry["curve"]["type"] not in ("BSpline", "Other"):
             BRepGProp.SurfaceProperties_s(face, properties)
         else:
             BRepGProp.SurfaceProperties_s(face, properties, INTEGRAL)
     return float(properties.Mass())
 
 
-def _coedges(canonical: Canonical, patch_id: int, face: Any) -> list[Coedge]:
+def _coedges(canonical: Canonical, graph: ShapeGraph, patch_id: int, face: Any) -> list[Coedge]:
     """Return a patch's coedges, outer loop first, each loop in the patch's orientation."""
     from OCP.BRepTools import BRepTools
     from OCP.TopAbs import TopAbs_Orientation, TopAbs_ShapeEnum
@@ -348,7 +380,10 @@ def _coedges(canonical: Canonical, patch_id: int, face: Any) -> list[Coedge]:
                 TopAbs_Orientation.TopAbs_EXTERNAL,
             )
             curve_id = canonical.edges.FindIndex(edge) - 1
-            found.append(Coedge(patch_id, loop, place, curve_id, backward != flipped, internal))
+            pcurve = graph.pcurve(edge, forward)
+            found.append(
+                Coedge(patch_id, loop, place, curve_id, backward != flipped, internal, pcurve)
+            )
     return found
 
 

@@ -1,7 +1,7 @@
 """The canonical compound: one order of solids, faces, edges and vertices for all libraries.
 
-Gmsh numbers what it imports by walking solids, then free shells and faces, then free edges
-and vertices. Building a compound in that very order makes OCCT's ``TopExp::MapShapes`` on it
+Gmsh numbers what it imports by walking solids, then free shells and faces, then free wires,
+edges and vertices. Building a compound in that very order makes OCCT's ``TopExp::MapShapes`` on it
 agree with Gmsh's tags, and gives every entity of a model one id.
 """
 
@@ -80,7 +80,8 @@ def canonical(shapes: Sequence[Any]) -> Canonical:
         ("solid", Kind.TopAbs_SOLID, None),
         ("shell", Kind.TopAbs_SHELL, Kind.TopAbs_SOLID),
         ("face", Kind.TopAbs_FACE, Kind.TopAbs_SHELL),
-        ("edge", Kind.TopAbs_EDGE, Kind.TopAbs_FACE),
+        ("wire", Kind.TopAbs_WIRE, Kind.TopAbs_FACE),
+        ("edge", Kind.TopAbs_EDGE, Kind.TopAbs_WIRE),
         ("vertex", Kind.TopAbs_VERTEX, Kind.TopAbs_EDGE),
     )
     for name, kind, avoid in levels:

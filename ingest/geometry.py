@@ -7,17 +7,18 @@ correctly.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+from breplake.ingest.lossless.bulk import spline_curve, spline_surface
+from breplake.ingest.lossless.knots import flat_knots
+
 __all__ = [
     "Row",
     "cone_coefficients",
     "curve_row",
-    "flat_knots",
     "plane_coefficients",
     "quadric_coefficients",
     "sphere_coefficients",
@@ -112,7 +113,7 @@ def curve_row(curve: Any) -> Row:
     """Type and parameters of a ``Geom_Curve``, as columns of ``schema.CURVE_GEOMETRY``.
 
     Trimmed curves are described by their basis, whose parameter is the same; Bézier curves
-    by the equal B-spline. What has no closed form here (offset curves) is ``Other``.
+    by the equal B-spline; offset curves, as ``Other``, by what they are offset from.
     """
     from OCP import Geom
 
@@ -130,7 +131,18 @@ def curve_row(curve: Any) -> Row:
         return _conic_row(curve)
     if isinstance(curve, Geom.Geom_BSplineCurve):
         return _spline_curve_row(curve)
+    if isinstance(curve, Geom.Geom_OffsetCurve):
+        offset = {"offset": curve.Offset(), "offset_direction": _xyz(curve.Direction())}
+        return _as_basis(curve_row(curve.BasisCurve())) | offset
     return {"type": "Other"}
+
+
+def _as_basis(row: Row) -> Row:
+    """Return the row of a curve or surface as that of what is offset from it.
+
+    OCCT itself joins offsets of offsets into one when it makes them.
+    """
+    return row | {"type": "Other", "basis_type": row["type"]}
 
 
 def _conic_row(curve: Any) -> Row:
@@ -154,53 +166,23 @@ def _continuity(shape: Any) -> int:
 
 
 def _spline_curve_row(curve: Any) -> Row:
-    rational = curve.IsRational()
-    n = curve.NbPoles()
+    spline = spline_curve(curve)
     return {
         "type": "BSpline",
-        "degree": curve.Degree(),
-        "rational": rational,
+        "degree": spline.degree,
+        "rational": spline.weights is not None,
         "closed": curve.IsClosed(),
-        "periodic": curve.IsPeriodic(),
+        "periodic": spline.periodic,
         "continuity": _continuity(curve.Continuity()),
-        "poles": [_xyz(curve.Pole(i + 1)) for i in range(n)],
-        "knots": flat_knots(
-            _reals(curve.Knots()),
-            [curve.Multiplicity(i + 1) for i in range(curve.NbKnots())],
-            curve.Degree() if curve.IsPeriodic() else None,
-        ),
-        "weights": [curve.Weight(i + 1) for i in range(n)] if rational else None,
+        "poles": _points(spline.poles),
+        "knots": flat_knots(spline.knots, spline.times, spline.degree if spline.periodic else None),
+        "weights": None if spline.weights is None else spline.weights.tolist(),
     }
 
 
-def flat_knots(
-    knots: Sequence[float], multiplicities: Sequence[int], periodic_degree: int | None
-) -> list[float]:
-    """Repeat knots by their multiplicity, and continue a periodic spline's on both sides.
-
-    The result is OCCT's ``KnotSequence``, which itself is wrong for periodic splines with no
-    more poles than their degree.
-
-    Parameters
-    ----------
-    knots : sequence of float
-        Distinct knots, ascending.
-    multiplicities : sequence of int
-        How often each counts.
-    periodic_degree : int or None
-        Degree if the spline is periodic: its first and last knot are then the same place.
-    """
-    if periodic_degree is None:
-        return [float(knot) for knot in np.repeat(knots, multiplicities)]
-    period = np.repeat(knots[:-1], multiplicities[:-1])
-    n, first = len(period), multiplicities[0]
-    margin = periodic_degree + 1 - first
-    turn, place = np.divmod(np.arange(-margin, n + first + margin), n)
-    return [float(knot) for knot in period[place] + turn * (knots[-1] - knots[0])]
-
-
-def _reals(array: Any) -> list[float]:
-    return [array.Value(i) for i in range(array.Lower(), array.Upper() + 1)]
+def _points(poles: _Matrix) -> list[Row]:
+    """Return points ``(n, 3)`` as rows."""
+    return [{"x": x, "y": y, "z": z} for x, y, z in poles.tolist()]
 
 
 def untrimmed(surface: Any) -> Any:
@@ -218,7 +200,8 @@ def untrimmed(surface: Any) -> Any:
 def surface_row(surface: Any) -> Row:
     """Type and parameters of an untrimmed ``Geom_Surface``, as columns of ``patches``.
 
-    Bézier surfaces are described by the equal B-spline; offset surfaces are ``Other``.
+    Bézier surfaces are described by the equal B-spline; offset surfaces, as ``Other``, by what
+    they are offset from.
     """
     from OCP import Geom
 
@@ -244,6 +227,9 @@ def surface_row(surface: Any) -> Row:
         return row | {"type": "Extrusion", "direction": direction, "curve": curve}
     if isinstance(surface, Geom.Geom_BSplineSurface):
         return row | _spline_surface_row(surface)
+    if isinstance(surface, Geom.Geom_OffsetSurface):
+        basis = surface_row(untrimmed(surface.BasisSurface()))
+        return _as_basis(basis) | {"offset": surface.Offset()} | row
     return row | {"type": "Other"}
 
 
@@ -277,25 +263,18 @@ def _elementary_row(surface: Any) -> Row:
 
 
 def _spline_surface_row(surface: Any) -> Row:
-    us, vs = range(1, surface.NbUPoles() + 1), range(1, surface.NbVPoles() + 1)
-    rational = surface.IsURational() or surface.IsVRational()
-    return {
+    spline = spline_surface(surface)
+    row: Row = {
         "type": "BSpline",
-        "u_degree": surface.UDegree(),
-        "v_degree": surface.VDegree(),
-        "u_rational": surface.IsURational(),
-        "v_rational": surface.IsVRational(),
         "continuity": _continuity(surface.Continuity()),
-        "poles": [[_xyz(surface.Pole(i, j)) for j in vs] for i in us],
-        "u_knots": flat_knots(
-            _reals(surface.UKnots()),
-            [surface.UMultiplicity(i + 1) for i in range(surface.NbUKnots())],
-            surface.UDegree() if surface.IsUPeriodic() else None,
-        ),
-        "v_knots": flat_knots(
-            _reals(surface.VKnots()),
-            [surface.VMultiplicity(i + 1) for i in range(surface.NbVKnots())],
-            surface.VDegree() if surface.IsVPeriodic() else None,
-        ),
-        "weights": [[surface.Weight(i, j) for j in vs] for i in us] if rational else None,
+        "poles": [_points(line) for line in spline.poles],
+        "weights": None if spline.weights is None else spline.weights.tolist(),
     }
+    for i, axis in enumerate("uv"):
+        degree = spline.degree[i]
+        row[f"{axis}_degree"] = degree
+        row[f"{axis}_rational"] = spline.rational[i]
+        row[f"{axis}_knots"] = flat_knots(
+            spline.knots[i], spline.times[i], degree if spline.periodic[i] else None
+        )
+    return row

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import os
-import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
 from breplake.errors import UsageError
 from breplake.ingest.failure import Failure, advise
+from breplake.schema.abc import ABC_FORMAT, AbcName, parse_name
 from breplake.schema.identity import model_id
 
 __all__ = ["FORMATS", "Input", "find_inputs", "printable"]
@@ -28,28 +28,34 @@ FORMATS: Final[dict[str, str]] = {
 """Format by file extension, upper or lower case, each also with ``.gz``."""
 
 
-_ABC: Final = re.compile(r"(\d{8}_[0-9a-f]{24})_step_(\d{3})")
-"""Name of an original ABC file: id, document hash, kind, part."""
+_CAD: Final = "cad"
+"""Kind of the file that holds exact shapes, beside the kinds of ABC's files."""
+
+_ORDER: Final = (_CAD, "features", "trimesh", "stats", "metadata")
+"""Kinds of files of one model, in the order in which they are hashed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Input:
-    """One CAD file to ingest.
+    """One model to ingest: a CAD file, files of the ABC dataset, or both.
 
     Parameters
     ----------
     path : Path
-        The file.
+        The CAD file; without one, the features, or what there is of them.
     collection, name : str
         Identity of the model.
     format : str
-        ``step``, ``iges`` or ``brep``; ``folder`` for one that cannot be listed.
+        ``step``, ``iges`` or ``brep``; ``abc`` for ABC's files without a CAD file; ``folder``
+        for one that cannot be listed.
     bytes : int, optional
-        Size of the file; None if it cannot be read.
+        Size of all files; None if they cannot be read.
     sha256 : str, optional
-        Hash of its bytes; None if they cannot be read.
+        Hash of their bytes, one file after the other; None if they cannot be read.
     failure : Failure, optional
         Why it cannot even be tried.
+    beside : tuple of (str, Path)
+        Kind and path of ABC's files beside `path`.
     """
 
     path: Path
@@ -59,20 +65,29 @@ class Input:
     bytes: int | None = None
     sha256: str | None = None
     failure: Failure | None = None
+    beside: tuple[tuple[str, Path], ...] = ()
     model_id: int = field(init=False)
 
     def __post_init__(self) -> None:
         """Derive the id, and name what cannot be in UTF-8 columns."""
         object.__setattr__(self, "model_id", model_id(self.collection, self.name))
 
+    @property
+    def companions(self) -> dict[str, Path]:
+        """ABC's files beside a CAD file by kind, or all of them where there is none."""
+        own = {"features": self.path} if self.format == ABC_FORMAT else {}
+        return own | dict(self.beside)
+
 
 def find_inputs(sources: Sequence[Path], collection: str | None = None) -> list[Input]:
-    """List the CAD files of `sources` in order of their names.
+    """List the models of `sources` in order of their names.
 
     A folder is searched with its subfolders; every entry there whose name ends like a CAD
-    file is an input, even if it turns out to be a folder or unreadable. Other files are not.
-    A folder that cannot be listed is an input that failed. Names leave out the extension; of
-    two files that differ in nothing else, the second in order keeps it in its name.
+    file, or is that of a file of the ABC dataset, is an input or part of one, even if it turns
+    out to be a folder or unreadable. Other files are not. A folder that cannot be listed is an
+    input that failed. Names leave out the extension; of two files that differ in nothing else,
+    the second in order keeps it in its name. ABC's files of one model are one input, together
+    with the CAD file of that name; stats and metadata alone are none.
 
     Parameters
     ----------
@@ -88,7 +103,8 @@ def find_inputs(sources: Sequence[Path], collection: str | None = None) -> list[
         If a source does not exist, a file is of no known format, or two inputs would get the
         same collection and name.
     """
-    found: dict[tuple[str, str], Input] = {}
+    models: dict[tuple[str, str], dict[str, Path]] = {}
+    found: list[Input] = []
     for source in sources:
         source = Path(source)
         if not source.exists():
@@ -97,29 +113,50 @@ def find_inputs(sources: Sequence[Path], collection: str | None = None) -> list[
         is_folder = source.is_dir()
         home = source.resolve() if is_folder else source.resolve().parent
         group = printable(collection or home.name or "root")
-        paths = _walk(source, closed.append) if is_folder else [source]
-        for path in paths:
-            kind = _format(path)
-            if kind is None:
-                known = ", ".join(FORMATS)
-                raise UsageError(
-                    f"{path} is no CAD file: its name must end in {known}, or those with .gz"
-                )
+        for path in _walk(source, closed.append) if is_folder else [source]:
             relative = path.relative_to(source) if is_folder else Path(path.name)
-            item = _input(path, group, _stem(relative), kind)
-            twin = found.setdefault((group, item.name), item)
-            if twin is not item and not _same_place(twin.path, path):
-                # a.step beside a.stp: the extension is what tells them apart
-                item = _input(path, group, relative.as_posix(), kind)
-                if found.setdefault((group, item.name), item) is not item:
-                    raise UsageError(
-                        f"{path} and {found[group, item.name].path} would both be model "
-                        f"{group}/{item.name}; ingest one with another --collection"
-                    )
-        for error in closed:
-            item = _closed_folder(Path(error.filename), source, group, error)
-            found.setdefault((group, item.name), item)
-    return sorted(found.values(), key=lambda item: (item.collection, item.name))
+            _sort_in(models, group, path, relative)
+        found += [
+            _closed_folder(Path(error.filename), source, group, error) for error in closed
+        ]
+    unique = {(item.collection, item.name): item for item in found}
+    for (group, name), files in models.items():
+        item = _input(files, group, name)
+        if item is not None:
+            unique[group, name] = item
+    return sorted(unique.values(), key=lambda item: (item.collection, item.name))
+
+
+def _sort_in(
+    models: dict[tuple[str, str], dict[str, Path]], group: str, path: Path, relative: Path
+) -> None:
+    """Put a file to the others of its model.
+
+    Raises
+    ------
+    UsageError
+        If it is none of a model, or another file is in its place.
+    """
+    abc = _abc_file(path)
+    if _format(path) is not None:
+        # a.step beside a.stp: the extension is what tells them apart
+        kind, names = _CAD, (_stem(relative), relative.as_posix())
+    elif abc is not None:
+        kind, names = abc.kind, (abc.model, (relative.parent / abc.model).as_posix())
+    else:
+        known = ", ".join(FORMATS)
+        raise UsageError(
+            f"{path} is no CAD file: its name must end in {known}, or those with .gz, or be "
+            "that of a file of the ABC dataset: NAME_trimesh_000.obj, NAME_features_000.yml"
+        )
+    for name in names:
+        files = models.setdefault((group, printable(name)), {})
+        if _same_place(files.setdefault(kind, path), path):
+            return
+    raise UsageError(
+        f"{path} and {files[kind]} would both be model {group}/{printable(names[-1])}; "
+        "ingest one with another --collection"
+    )
 
 
 def _same_place(a: Path, b: Path) -> bool:
@@ -134,12 +171,13 @@ def _closed_folder(folder: Path, source: Path, collection: str, error: OSError) 
 
 
 def _walk(folder: Path, closed: Callable[[OSError], None]) -> Iterator[Path]:
-    """Yield the entries below `folder` that are named like CAD files, in sorted order."""
+    """Yield the entries below `folder` that are named like files of models, in sorted order."""
     for directory, folders, files in os.walk(folder, onerror=closed):
         folders.sort()
         for name in sorted([*files, *folders]):
-            if _format(Path(name)) is not None:
-                yield Path(directory) / name
+            path = Path(directory) / name
+            if _format(path) is not None or _abc_file(path) is not None:
+                yield path
 
 
 def _format(path: Path) -> str | None:
@@ -147,34 +185,73 @@ def _format(path: Path) -> str | None:
     return FORMATS.get(os.path.splitext(name)[1])
 
 
+def _abc_file(path: Path) -> AbcName | None:
+    """Read the name of a file of the ABC dataset that is no CAD file."""
+    name = parse_name(path.name)
+    return None if name is None or name.kind == "step" else name
+
+
 def _stem(relative: Path) -> str:
     """Return a model's name. ABC's files of one model differ but in their kind, left out here."""
     name = relative.name
     if name.lower().endswith(".gz"):
         name = name[:-3]
-    stem = os.path.splitext(name)[0]
-    if match := _ABC.fullmatch(stem):
-        return f"{match[1]}_{match[2]}"
-    return (relative.parent / stem).as_posix()
+    abc = parse_name(name)
+    if abc is not None and abc.kind == "step":
+        return abc.model
+    return (relative.parent / os.path.splitext(name)[0]).as_posix()
 
 
-def _input(path: Path, collection: str, name: str, format: str) -> Input:
-    """Read the file once for size and hash, and notice what cannot be tried."""
-    name = printable(name)
-    if not path.is_file():
-        what = "this is a folder" if path.is_dir() else "this is no regular file"
-        failure = Failure("plan", "not-a-file", advise("not-a-file", what), fatal=True)
-        return Input(path, collection, name, format, failure=failure)
+def _input(files: Mapping[str, Path], collection: str, name: str) -> Input | None:
+    """Return the input that the files of one model make; None if there is nothing to read.
+
+    They are read once for size and hash, and to notice what cannot be tried.
+    """
+    ordered = {kind: files[kind] for kind in _ORDER if kind in files}
+    kind, path = next(iter(ordered.items()))
+    if kind not in (_CAD, "features", "trimesh"):
+        return None
+    format = _format(path) or ABC_FORMAT
+    beside = tuple(ordered.items())[1:]
+    failure, size, digest = None, 0, hashlib.sha256()
+    for each in ordered.values():
+        problem = _problem(each) or _add(each, digest)
+        failure = failure or problem
+        size += 0 if problem else each.stat().st_size
+    if failure is not None and failure.kind != "empty-file":
+        return Input(path, collection, name, format, failure=failure, beside=beside)
+    lacks = _lacks(ordered)
+    if failure is None and lacks is not None:
+        failure = Failure("plan", lacks, advise(lacks, ""), fatal=True)
+    return Input(path, collection, name, format, size, digest.hexdigest(), failure, beside)
+
+
+def _lacks(files: Mapping[str, Path]) -> str | None:
+    """Return the kind of failure of files of which one alone tells too little."""
+    if _CAD in files or {"features", "trimesh"} <= files.keys():
+        return None
+    return "no-trimesh" if "features" in files else "no-features"
+
+
+def _problem(path: Path) -> Failure | None:
+    """Return why something cannot be read as a file."""
+    if path.is_file():
+        return None
+    what = "this is a folder" if path.is_dir() else "this is no regular file"
+    return Failure("plan", "not-a-file", advise("not-a-file", what), fatal=True)
+
+
+def _add(path: Path, digest: hashlib._Hash) -> Failure | None:
+    """Add the bytes of a file to a hash; return what is wrong with it."""
     try:
         with path.open("rb") as file:
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
+            while block := file.read(2**20):
+                digest.update(block)
             size = file.tell()
     except OSError as error:
         detail = error.strerror or type(error).__name__
-        failure = Failure("plan", "unreadable", advise("unreadable", detail), fatal=True)
-        return Input(path, collection, name, format, failure=failure)
-    empty = Failure("plan", "empty-file", advise("empty-file", ""), fatal=True)
-    return Input(path, collection, name, format, size, digest, None if size else empty)
+        return Failure("plan", "unreadable", advise("unreadable", detail), fatal=True)
+    return None if size else Failure("plan", "empty-file", advise("empty-file", ""), fatal=True)
 
 
 def printable(path: Path | str) -> str:

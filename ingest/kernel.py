@@ -23,7 +23,6 @@ from breplake.ingest.failure import advise
 from breplake.schema.curves import CurveSet
 from breplake.schema.jets import SurfaceJet
 from breplake.schema.surfaces import SurfaceSet
-from breplake.schema.tables import PATCHES
 
 __all__ = ["ClosedForm", "GmshModel", "gmsh_session", "groups"]
 
@@ -111,7 +110,7 @@ class GmshModel:
         finally:
             path.unlink(missing_ok=True)
         self.complaint = complaint
-        self._set_undefined(PATCHES.from_rows({"model_id": 0, **row} for row in brep.patches))
+        self._set_undefined(brep.patch_table)
         # Gmsh embeds curves that lie inside a patch, but leaves some of them out.
         whole = len(gmsh.model.getEntities(1)) == len(brep.edges)
         internal = set() if whole else brep.internal_curves

@@ -24,7 +24,7 @@ from breplake.ingest.orphans import die_with_parent
 from breplake.ingest.settings import RUNGS, Settings
 from breplake.ingest.spool import HANG_EXIT, Spool
 
-__all__ = ["Result", "discard", "run_models"]
+__all__ = ["Result", "discard", "isolated_pool", "kernels_unavailable", "run_models"]
 
 _AHEAD: Final = 4
 """Tasks waiting for each worker: enough to keep it busy, few enough to stop quickly."""
@@ -90,7 +90,7 @@ def run_models(
     """
     waiting = list(reversed(inputs))
     running: dict[Any, Result] = {}
-    pool = _pool(jobs, settings)
+    pool = isolated_pool(jobs, settings.memory, "breplake ingest")
     try:
         while (waiting or running) and not stop():
             while waiting and len(running) < jobs * _AHEAD:
@@ -110,20 +110,36 @@ def run_models(
                 else:
                     yield result
     except BrokenExecutor as error:
-        raise _unavailable() from error
+        raise kernels_unavailable() from error
     finally:
         pool.stop()
         pool.join()
 
 
-def _pool(jobs: int, settings: Settings) -> Any:
+def isolated_pool(jobs: int, memory: float, need: str) -> Any:
+    """Return a ``pebble.ProcessPool`` with a fresh, silent process for each task.
+
+    Parameters
+    ----------
+    jobs : int
+        Number of processes.
+    memory : float
+        Address space each may take, GiB.
+    need : str
+        What wants it, for the message of an error.
+
+    Raises
+    ------
+    MissingExtraError
+        If pebble is not installed.
+    """
     try:
         from pebble import ProcessPool
     except ImportError as error:
-        raise MissingExtraError("ingest", "breplake ingest") from error
+        raise MissingExtraError("ingest", need) from error
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["breplake.ingest.preload"])
-    limit = int(settings.memory * 2**30)
+    limit = int(memory * 2**30)
     return ProcessPool(
         max_workers=jobs, max_tasks=1, context=context, initializer=_confine, initargs=[limit]
     )
@@ -204,7 +220,7 @@ def _killed(error: BaseException, result: Result, settings: Settings) -> int | N
     return None
 
 
-def _unavailable() -> KernelUnavailableError:
+def kernels_unavailable() -> KernelUnavailableError:
     """Find out why no worker can start."""
     command = [sys.executable, "-P", "-c", "import breplake.ingest.preload"]
     probe = subprocess.run(command, capture_output=True, text=True, check=False)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from breplake.ingest.brep import Brep
 from breplake.ingest.geometry import Row
-from breplake.ingest.measures import fingerprint, is_single_primitive
+from breplake.ingest.measures import is_single_primitive
 from breplake.ingest.mesh import Mesh
 from breplake.ingest.quality import measure
 from breplake.ingest.truth import Truth
@@ -20,7 +20,7 @@ from breplake.schema.contract import vec3_array
 from breplake.schema.tables import COEDGES, CORNERS, CURVES, FACES, PARTS, PATCHES, VERTICES
 from breplake.schema.types import CURVE_TYPES, SURFACE_TYPES, count_column
 
-__all__ = ["brep_columns", "brep_tables", "mesh_columns", "mesh_tables"]
+__all__ = ["brep_columns", "brep_tables", "mesh_columns", "mesh_tables", "shape_columns"]
 
 _Floats = npt.NDArray[np.float64]
 _Ints = npt.NDArray[np.int64]
@@ -37,51 +37,66 @@ def brep_tables(model_id: int, brep: Brep) -> dict[str, pa.Table]:
             "curve_id": use.curve_id,
             "reversed": use.reversed,
             "internal": use.internal,
+            "pcurve": use.pcurve.pcurve,
+            "t_min": use.pcurve.t_min,
+            "t_max": use.pcurve.t_max,
         }
         for use in brep.coedges
     ]
     rows = (
         (PARTS, brep.parts),
-        (PATCHES, brep.patches),
         (CURVES, brep.curves),
         (COEDGES, coedges),
         (CORNERS, brep.corners),
     )
-    return {table.name: table.from_rows(identity | row for row in found) for table, found in rows}
+    tables = {table.name: table.from_rows(identity | row for row in found) for table, found in rows}
+    identities = pa.array(np.full(brep.patch_table.num_rows, model_id))
+    tables[PATCHES.name] = _replaced(brep.patch_table, {"model_id": identities})
+    return tables | brep.graph.tables(model_id)
 
 
 def brep_columns(brep: Brep) -> Row:
     """Return the columns of ``models`` that need no mesh."""
-    surfaces = Counter(row["type"] for row in brep.patches)
-    curves = Counter(row["type"] for row in brep.curves)
-    solids = [part for part in brep.parts if part["kind"] == "solid"]
+    shape = shape_columns(brep.parts, brep.patches, brep.curves, len(brep.corners), brep.bounds())
+    return shape | {"n_shells": brep.canonical.n_shells}
+
+
+def shape_columns(
+    parts: Sequence[Row],
+    patches: Sequence[Row],
+    curves: Sequence[Row],
+    n_corners: int,
+    bounds: tuple[_Floats, _Floats],
+) -> Row:
+    """Return what ``models`` sums up of the rows of other tables; bounds are ``(3,)`` mm."""
+    of_patch = Counter(row["type"] for row in patches)
+    of_curve = Counter(row["type"] for row in curves)
+    solids = [part for part in parts if part["kind"] == "solid"]
     volume = sum(part["volume"] for part in solids) if solids else None
-    low, high = brep.bounds()
-    kinds = {row["kind"] for row in brep.curves}
+    low, high = bounds
+    kinds = {row["kind"] for row in curves}
     return {
-        "n_parts": len(brep.parts),
+        "n_parts": len(parts),
         "n_solids": len(solids),
-        "n_shells": brep.canonical.n_shells,
-        "n_patches": len(brep.patches),
-        "n_curves": len(brep.curves),
-        "n_corners": len(brep.corners),
-        **{count_column(t): surfaces[t] for t in SURFACE_TYPES},
-        **{count_column(t, curve=True): curves[t] for t in CURVE_TYPES},
-        "n_sharp_curves": sum(row["sharp"] for row in brep.curves),
+        "n_patches": len(patches),
+        "n_curves": len(curves),
+        "n_corners": n_corners,
+        **{count_column(t): of_patch[t] for t in SURFACE_TYPES},
+        **{count_column(t, curve=True): of_curve[t] for t in CURVE_TYPES},
+        "n_sharp_curves": sum(row["sharp"] for row in curves),
         "bbox_min": dict(zip("xyz", low.tolist(), strict=True)),
         "bbox_max": dict(zip("xyz", high.tolist(), strict=True)),
         "diagonal": float(np.linalg.norm(high - low)),
-        "area": sum(row["area"] for row in brep.patches),
+        "area": sum(row["area"] for row in patches),
         "volume": volume,
-        "is_closed": bool(brep.patches) and "boundary" not in kinds,
+        "is_closed": bool(patches) and "boundary" not in kinds,
         "is_single_primitive": "free" not in kinds
-        and is_single_primitive(len(brep.parts), brep.patches, len(brep.corners), len(brep.curves)),
-        "fingerprint": fingerprint(brep.patches, brep.curves, volume),
+        and is_single_primitive(len(parts), patches, n_corners, len(curves)),
     }
 
 
 def mesh_tables(
-    model_id: int, brep: Brep, tables: Mapping[str, pa.Table], mesh: Mesh, truth: Truth
+    model_id: int, tables: Mapping[str, pa.Table], mesh: Mesh, truth: Truth
 ) -> dict[str, pa.Table]:
     """Return the tables that need the mesh, and ``curves`` and ``corners`` completed by it."""
     n, f = len(mesh.pair_vertex), len(mesh.triangles)

@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 import hashlib
-import itertools
-import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from breplake.ingest.failure import KILLED
 from breplake.ingest.geometry import Row
 from breplake.ingest.inputs import printable
 from breplake.ingest.pool import Result
 from breplake.schema.arrays import ArrayShardWriter
-from breplake.schema.contract import Table
 from breplake.schema.lake import LakeStore
+from breplake.schema.shard_writer import fresh_name, write_table
 from breplake.schema.snapshot import FileEntry
 from breplake.schema.tables import FACES, FAILURES, MODELS, TABLES, VERTICES
 
-__all__ = ["SHARD_MODELS", "fresh_name", "shard_name", "write_shard", "write_table"]
+__all__ = ["SHARD_MODELS", "shard_name", "write_shard"]
 
 SHARD_MODELS: Final = 256
 """Inputs in a shard."""
@@ -76,31 +73,10 @@ def write_shard(store: LakeStore, results: Sequence[Result], config_hash: str) -
     return store.register_shard(name)
 
 
-def fresh_name(store: LakeStore, name: str) -> str:
-    """Return `name`, or `name` with a number if a snapshot has files of that name already.
-
-    Files that no snapshot names are what an interrupted run left; they make room.
-    """
-    for number in itertools.count(1):
-        candidate = name if number == 1 else f"{name}-{number}"
-        paths = [f"tables/{table}/{candidate}.parquet" for table in TABLES]
-        paths.append(f"arrays/{candidate}.zarr")
-        there = {path for path in paths if (store.root / path).exists()}
-        if not there:
-            return candidate
-        named = {f.path for n in store.numbers() for f in store.snapshot(n).files}
-        if not there & named:
-            for path in there:
-                target = store.root / path
-                shutil.rmtree(target) if target.is_dir() else target.unlink()
-            return candidate
-    raise AssertionError("unreachable: count() does not end")
-
-
 def _finished(result: Result, shard: str) -> Row:
     """Return the model's row, completed by what only the parent knows."""
     row = result.spool.read_model()
-    row["metadata"] = list(row["metadata"])
+    row["metadata"] = [tuple(fact) for fact in row["metadata"]]  # JSON made lists of pairs
     # A killed worker's CPU time is lost with it; it was busy, so its wall time stands in.
     lost = sum(f.seconds for f in result.failures if f.kind in KILLED)
     return row | {"shard": shard, "cpu_total": row["cpu_total"] + lost}
@@ -177,58 +153,3 @@ def _feature(vertices: pa.Table, curves: pa.Table) -> Any:
     feature[on_curve] = np.where(sharp[curve[on_curve]], 2, 1)
     feature[corner] = 3
     return feature
-
-
-def write_table(store: LakeStore, shard: str, table: Table, parts: Iterable[pa.Table]) -> None:
-    """Write tables as one Parquet file, gathering them into full row groups.
-
-    Parameters
-    ----------
-    store : LakeStore
-        The lake.
-    shard : str
-        Name of the shard.
-    table : Table
-        Its contract.
-    parts : iterable of pyarrow.Table
-        In order; without a row no file is written.
-    """
-    writer: pq.ParquetWriter | None = None
-    waiting: list[pa.Table] = []
-    n_waiting = 0
-    path = store.table_path(table.name, shard)
-
-    def flush() -> None:
-        nonlocal writer, n_waiting
-        if writer is None:
-            writer = pq.ParquetWriter(path, table.schema, **_options(table))
-        writer.write_table(pa.concat_tables(waiting), row_group_size=table.row_group)
-        waiting.clear()
-        n_waiting = 0
-
-    for part in parts:
-        waiting.append(part)
-        n_waiting += part.num_rows
-        if n_waiting >= table.row_group:
-            flush()
-    if waiting and (n_waiting or writer is None):
-        flush()
-    if writer is not None:
-        writer.close()
-
-
-def _options(table: Table) -> dict[str, Any]:
-    """Return how the columns of a table are encoded.
-
-    Ids are nearly sorted, so their differences are small; floating-point columns have
-    no repeated values for a dictionary to find.
-    """
-    integers = [c.name for c in table.columns if pa.types.is_integer(c.type)]
-    strings = [c.name for c in table.columns if pa.types.is_string(c.type)]
-    return {
-        "compression": "zstd",
-        "compression_level": 3,
-        "use_dictionary": strings or False,
-        "column_encoding": dict.fromkeys(integers, "DELTA_BINARY_PACKED"),
-        "write_page_index": True,
-    }

@@ -12,6 +12,8 @@ import numpy as np
 import pyarrow as pa
 
 from breplake.errors import InputError
+from breplake.ingest.abc.beside import Beside
+from breplake.ingest.abc.model import IMPORTED_MESH, import_model
 from breplake.ingest.brep import Brep, extract
 from breplake.ingest.canonical import canonical
 from breplake.ingest.clock import KERNEL, StageClock, peak_memory
@@ -32,6 +34,8 @@ from breplake.ingest.tessellation import tessellate
 from breplake.ingest.truth import derive, wind
 from breplake.ingest.unpack import unpacked
 from breplake.ingest.versions import versions
+from breplake.schema.abc import ABC_FORMAT
+from breplake.schema.fingerprint import fingerprint
 
 __all__ = ["Task", "silence", "work"]
 
@@ -108,14 +112,19 @@ class _Model:
         self.row: Row = {}
         self.opposed = 0
         self.tables: dict[str, pa.Table] = {}
+        self.beside: Beside | None = None
 
     def run(self) -> None:
+        if self.input.format == ABC_FORMAT:
+            self._import_abc()
+            return
         with self.clock.stage("read"):
             path = unpacked(self.input.path, self.input.format, self.spool.folder)
         with self.clock.stage("load"), KERNEL():
             document = load(path, self.input.format)
         with self.clock.stage("brep"):
             brep = self._brep(document)
+            self._read_beside()
         self._write("brep")
         with self.clock.stage("mesh"):
             if not brep.patches:
@@ -132,8 +141,32 @@ class _Model:
         with KERNEL():
             valid = BRepCheck_Analyzer(shapes.compound).IsValid()
         self.tables = brep_tables(self.id, brep)
-        source, columns = self.input, brep_columns(brep)
-        self.row = {
+        self.row = (
+            self._source_columns()
+            | brep_columns(brep)
+            | {
+                "metadata": [],
+                "length_unit": document.length_unit,
+                "scale_to_mm": document.scale_to_mm,
+                "is_valid": valid,
+                "n_added_pcurves": added,
+            }
+        )
+        self._identify()
+        return brep
+
+    def _identify(self) -> None:
+        """Add the fingerprint and what follows from it."""
+        tables = (self.tables[name] for name in ("patches", "curves", "coedges", "corners"))
+        found = fingerprint(*tables, self.row["volume"])
+        text = None if found is None else str(found)
+        group = duplicate_group(text, str(self.input.sha256))
+        self.row |= {"fingerprint": text, "duplicate_group": group}
+
+    def _source_columns(self) -> Row:
+        """Return what ``models`` says of the input and of what it was read with."""
+        source = self.input
+        return {
             "model_id": self.id,
             "collection": source.collection,
             "name": source.name,
@@ -141,17 +174,29 @@ class _Model:
             "format": source.format,
             "bytes": source.bytes,
             "sha256": source.sha256,
-            "metadata": [],
-            "length_unit": document.length_unit,
-            "scale_to_mm": document.scale_to_mm,
-            "is_valid": valid,
-            "n_added_pcurves": added,
-            "duplicate_group": duplicate_group(columns["fingerprint"], str(source.sha256)),
             "config_hash": self.settings.config_hash,
-            **columns,
             **{f"{name}_version": value for name, value in versions().items()},
         }
-        return brep
+
+    def _import_abc(self) -> None:
+        """Take over a model from original ABC files, mesh and all."""
+        found = import_model(self.id, self.input.companions, self.clock)
+        self.tables = found.tables
+        self.row = self._source_columns() | found.row
+        self._identify()
+        self._write("mesh")
+
+    def _read_beside(self) -> None:
+        """Take over what ABC files beside a STEP file say; what is wrong there is noted."""
+        if not self.input.companions:
+            return
+        try:
+            self.beside = Beside(self.input.companions)
+            self.beside.verify(self.tables, self.row)
+        except InputError as error:
+            self._note(error)
+        if self.beside is not None:
+            self.row |= self.beside.columns()
 
     def _write(self, level: str) -> None:
         start = time.process_time()
@@ -167,6 +212,8 @@ class _Model:
         """Climb down the ladder of meshes until one succeeds."""
         ladder = RUNGS[self.settings.mesh]
         model = self._imported(gmsh, brep)
+        if self._add_published_mesh(model):
+            return
         rungs = ladder[self.task.rung :] if isinstance(model, GmshModel) else ladder[-1:]
         limit, notes = self._limit(brep)
         for rung in rungs:
@@ -190,6 +237,24 @@ class _Model:
             self.row["mesh_note"] = "; ".join(notes) or None
             self._write("mesh")
             return
+
+    def _add_published_mesh(self, model: GmshModel | ClosedForm) -> bool:
+        """Take over the mesh of an OBJ beside the STEP file; False if there is none that fits."""
+        if self.beside is None or not self.beside.has_mesh:
+            return False
+        self.periods = surface_periods(model.brep)
+        try:
+            with self.clock.stage("mesh", ABC_FORMAT):
+                mesh = self.beside.mesh(self.tables["curves"])
+            with self.clock.stage("truth", ABC_FORMAT):
+                self._truth(model, mesh, np.inf)
+        except Exception as error:  # a mesh of our own is still to be had
+            self._note(error)
+            return False
+        kind = self.beside.files.stats.mesh_kind
+        self.row |= {"mesh_kind": kind, "mesh_note": IMPORTED_MESH} | self.beside.columns()
+        self._write("mesh")
+        return True
 
     def _imported(self, gmsh: Any, brep: Brep) -> GmshModel | ClosedForm:
         """Return the model in Gmsh, or our own closed forms where Gmsh does not take it."""
@@ -242,7 +307,7 @@ class _Model:
         if columns["max_edge"] > _HOPELESS * limit:
             detail = f"curves and surfaces lie up to {truth.residual.max():.3g} mm apart"
             raise InputError("mesh-failed", advise("mesh-failed", detail))
-        self.tables |= mesh_tables(self.id, model.brep, self.tables, mesh, truth)
+        self.tables |= mesh_tables(self.id, self.tables, mesh, truth)
         self.row |= columns
 
 

@@ -1,38 +1,36 @@
-"""Meshes of a lake as a map-style dataset."""
+"""Meshes of a lake, and what else is made of them, as map-style datasets."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
-from torch.utils.data import Dataset
 
-from breplake.errors import UsageError
+from breplake.loaders.collate import MeshBatch, collate_meshes
+from breplake.loaders.dataset import SampleDataset
+from breplake.loaders.index import ModelIndex
 from breplake.loaders.samples import MeshSample
+from breplake.loaders.transforms import Transform
 from breplake.queries.session import Lake
-from breplake.schema.array_reader import ArrayShardReader
-from breplake.schema.arrays import ARRAYS
+from breplake.schema.subset import Subset
 
 if TYPE_CHECKING:
-    from breplake.loaders.points import PointCloudDataset
+    from breplake.loaders.local import LocalPatchDataset
+    from breplake.loaders.points import PointCloudDataset, Source
 
 __all__ = ["MeshDataset"]
 
-_COLUMNS = (
-    "model_id, name, shard, vertex_offset, normal_offset, face_offset, "
-    "n_vertices, n_normals, n_faces"
-)
 
-
-class MeshDataset(Dataset[MeshSample]):
+class MeshDataset(SampleDataset[MeshSample]):
     """The models of a lake that have a mesh, in the order of their ids.
 
     Samples do not depend on the number of workers. The list of models is taken once, from the
-    snapshot of `lake`; a worker, forked or spawned, opens the arrays when it first reads.
+    snapshot of `lake` or of the subset; a worker, forked or spawned, opens the arrays when it
+    first reads.
 
     Parameters
     ----------
@@ -41,105 +39,70 @@ class MeshDataset(Dataset[MeshSample]):
     where : str, optional
         SQL condition on columns of ``models``, for instance ``"n_torus > 30"``; it may hold
         subqueries on other tables.
+    subset : Subset or str, optional
+        Instead of `where`: a subset of the lake, or its name, at the subset's snapshot.
+    split : str, optional
+        Take one split of the subset.
+    transforms : sequence of Transform
+        Applied to each sample in turn.
+    seed : int
+        Seed of the transforms.
 
     Raises
     ------
     UsageError
-        If `where` is no condition on ``models``.
-
-    Attributes
-    ----------
-    snapshot : int
-        Number of the snapshot.
-    model_ids : numpy.ndarray
-        ``(len,)`` int64, ascending.
+        If `where` is no condition on ``models``, or the arguments do not go together.
+    NameNotFoundError
+        If there is no such subset or split.
     """
 
-    def __init__(self, lake: Lake | str | Path, where: str | None = None) -> None:
-        opened = lake if isinstance(lake, Lake) else Lake(lake)
-        self.root = opened.root
-        self.snapshot = opened.snapshot.number
-        self.where = where
-        table = _select(opened, where)
-        self.model_ids: npt.NDArray[np.int64] = table.column("model_id").to_numpy()
-        # arrays of numbers and one Arrow array of text: Python objects would be copied into
-        # every forked worker as their reference counts are touched
-        self._names = table.column("name").combine_chunks()
-        shards = table.column("shard").combine_chunks().dictionary_encode()
-        self._shards: list[str] = shards.dictionary.to_pylist()
-        self._shard = shards.indices.to_numpy(zero_copy_only=False)  # (len,)
-        self._rows = {
-            axis: np.stack(
-                [table.column(f"{axis}_offset").to_numpy(), table.column(count).to_numpy()], axis=1
-            )  # (len, 2) first row and number of rows
-            for axis, count in (
-                ("vertex", "n_vertices"),
-                ("normal", "n_normals"),
-                ("face", "n_faces"),
-            )
-        }
-        self._readers: dict[int, ArrayShardReader] = {}
+    noun = "meshes"
 
-    def __len__(self) -> int:
-        return len(self.model_ids)
+    def __init__(
+        self,
+        lake: Lake | str | Path,
+        where: str | None = None,
+        *,
+        subset: Subset | str | None = None,
+        split: str | None = None,
+        transforms: Sequence[Transform] = (),
+        seed: int = 0,
+    ) -> None:
+        super().__init__(ModelIndex(lake, where, subset, split), seed, transforms)
 
-    def __getitem__(self, index: int) -> MeshSample:
-        """Return a mesh.
-
-        Raises
-        ------
-        IndexError
-            If there is no sample of that number.
-        """
-        index = self.checked(index)
+    def draw(self, model: int, number: int, epoch: int) -> MeshSample:
+        """Return the mesh of the model number `model`."""
         return MeshSample(
-            positions=self.read("position", index),
-            normals=self.read("normal", index),
-            curvatures=self.read("curvature", index),
-            normal_patch=self.read("patch", index),
-            triangles=self.read("triangle", index),
-            triangle_normals=self.read("triangle_normal", index),
-            triangle_patch=self.read("triangle_patch", index),
-            features=self.read("feature", index),
-            model_id=int(self.model_ids[index]),
-            name=self.name(index),
+            positions=self.read("position", model),
+            normals=self.read("normal", model),
+            curvatures=self.read("curvature", model),
+            normal_patch=self.read("patch", model),
+            triangles=self.read("triangle", model),
+            triangle_normals=self.read("triangle_normal", model),
+            triangle_patch=self.read("triangle_patch", model),
+            features=self.read("feature", model),
+            model_id=int(self.model_ids[model]),
+            name=self.index.name(model),
             snapshot=self.snapshot,
         )
 
-    def __repr__(self) -> str:
-        where = f", where={self.where!r}" if self.where else ""
-        return f"MeshDataset({str(self.root)!r}{where}): {len(self)} meshes at {self.snapshot}"
+    def collate(self, samples: Sequence[MeshSample]) -> MeshBatch:
+        """Join meshes of different sizes, as `collate_meshes`."""
+        return collate_meshes(samples)
 
-    def checked(self, index: int) -> int:
-        """Return `index` counted from the start; negative ones count from the end.
-
-        Raises
-        ------
-        IndexError
-            If there is no sample of that number.
-        """
-        if not -len(self) <= index < len(self):
-            raise IndexError(f"sample {index} of {len(self)}")
-        return int(index) % len(self)
-
-    def name(self, index: int) -> str:
-        """Return the name of the model of sample `index`."""
-        name: str = self._names[index].as_py()
-        return name
-
-    def read(self, array: str, index: int) -> Tensor:
-        """Return one array of sample `index`; indices and labels as int64, fit to index with."""
-        start, count = self._rows[ARRAYS[array].axis][index].tolist()
-        rows = self._reader(int(self._shard[index])).read(array, start, start + count)
+    def read(self, array: str, model: int) -> Tensor:
+        """Return one array of a model; indices and labels as int64, fit to index with."""
+        rows = self.index.read(array, model)
         return torch.from_numpy(rows.astype(np.int64) if rows.dtype.kind == "i" else rows)
 
-    def _reader(self, shard: int) -> ArrayShardReader:
-        if shard not in self._readers:
-            path = self.root / "arrays" / f"{self._shards[shard]}.zarr"
-            self._readers[shard] = ArrayShardReader(path)
-        return self._readers[shard]
-
-    def points(self, n: int, seed: int = 0) -> PointCloudDataset:
+    def points(
+        self,
+        n: int,
+        seed: int = 0,
+        source: Source = "vertices",
+        transforms: Sequence[Transform] = (),
+        per_model: int = 1,
+    ) -> PointCloudDataset:
         """Return the same models as clouds of exactly `n` points.
 
         Parameters
@@ -148,20 +111,33 @@ class MeshDataset(Dataset[MeshSample]):
             Points for each model, at least 1.
         seed : int
             Another seed draws other points.
+        source : str
+            ``vertices`` or ``triangles``: see `PointCloudDataset`.
+        transforms : sequence of Transform
+            Applied to each cloud in turn.
+        per_model : int
+            Clouds of each model.
         """
         from breplake.loaders.points import PointCloudDataset
 
-        return PointCloudDataset(self, n, seed)
+        return PointCloudDataset(self, n, seed, source, transforms, per_model)
 
+    def local_patches(
+        self, n: int, per_model: int = 1, seed: int = 0, transforms: Sequence[Transform] = ()
+    ) -> LocalPatchDataset:
+        """Return pieces of exactly `n` vertices of the models that have as many.
 
-def _select(lake: Lake, where: str | None) -> Any:
-    """Return the index of the models with a mesh as an Arrow table."""
-    import duckdb
+        Parameters
+        ----------
+        n : int
+            Vertices of a piece, at least 3.
+        per_model : int
+            Pieces of each model.
+        seed : int
+            Another seed grows other pieces.
+        transforms : sequence of Transform
+            Applied to each piece in turn.
+        """
+        from breplake.loaders.local import LocalPatchDataset
 
-    condition = "true" if where is None else where
-    # the line break ends a comment in the condition
-    query = f"SELECT {_COLUMNS} FROM models WHERE n_faces > 0 AND ({condition}\n) ORDER BY model_id"
-    try:
-        return lake.sql(query).to_arrow_table()
-    except (UsageError, duckdb.Error) as error:
-        raise UsageError(f"where={where!r} is no condition on models: {error}") from error
+        return LocalPatchDataset(self, n, per_model, seed, transforms)

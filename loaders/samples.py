@@ -1,16 +1,19 @@
-"""What the datasets return: named tuples of tensors, and ragged batches of them."""
+"""What the datasets return: named tuples of tensors, which say where they came from."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-import torch
 from torch import Tensor
 
-from breplake.errors import UsageError
-
-__all__ = ["MeshBatch", "MeshSample", "PointCloudSample", "collate_meshes"]
+__all__ = [
+    "GraphSample",
+    "GridSample",
+    "LabelledMesh",
+    "LocalPatch",
+    "MeshSample",
+    "PointCloudSample",
+]
 
 
 class MeshSample(NamedTuple):
@@ -72,6 +75,9 @@ class PointCloudSample(NamedTuple):
         ``(n, 2)`` float32, k_min and k_max in 1/mm; NaN where undefined.
     patches : Tensor
         ``(n,)`` int64, patch of each point.
+    types : Tensor
+        ``(n,)`` uint8, type of that patch: its place in
+        `breplake.schema.types.SURFACE_TYPES`.
     features : Tensor
         ``(n,)`` uint8, as in `MeshSample`.
     model_id, name, snapshot
@@ -82,87 +88,136 @@ class PointCloudSample(NamedTuple):
     normals: Tensor
     curvatures: Tensor
     patches: Tensor
+    types: Tensor
     features: Tensor
     model_id: int
     name: str
     snapshot: int
 
 
-class MeshBatch(NamedTuple):
-    """Several meshes joined to one; sample `i` is rows ``offsets[i]`` to ``offsets[i + 1]``.
+class LabelledMesh(NamedTuple):
+    """A mesh with labels for patch segmentation and for finding sharp features.
 
-    Triangles index the joined arrays. Patch ids stay local to their model.
+    Types are places in `breplake.schema.types.SURFACE_TYPES`. Sharp is what ABC's rule calls so
+    (the column ``sharp`` of ``curves``).
 
     Parameters
     ----------
-    positions, normals, curvatures, normal_patch, features : Tensor
-        As in `MeshSample`, one model after the other.
-    triangles, triangle_normals, triangle_patch : Tensor
-        As in `MeshSample`, one model after the other.
-    vertex_offsets, normal_offsets, face_offsets : Tensor
-        ``(b + 1,)`` int64, first rows of each model along the three axes.
-    model_ids : Tensor
-        ``(b,)`` int64.
-    names : tuple of str
-        Names of the models.
-    snapshot : int
-        Number of the lake's snapshot.
+    positions, normals, triangles, triangle_normals, triangle_patch, normal_patch
+        As in `MeshSample`.
+    patch_types : Tensor
+        ``(p,)`` uint8, type of each patch.
+    normal_types : Tensor
+        ``(m,)`` uint8, type of the patch of each normal.
+    triangle_types : Tensor
+        ``(f,)`` uint8, type of the patch of each triangle.
+    sharp_edges : Tensor
+        ``(e, 2)`` int64, rows of `positions`: mesh edges along sharp curves.
+    sharp_vertices : Tensor
+        ``(n,)`` bool, whether a vertex lies on a sharp curve.
+    model_id, name, snapshot
+        As in `MeshSample`.
     """
 
     positions: Tensor
     normals: Tensor
-    curvatures: Tensor
-    normal_patch: Tensor
     triangles: Tensor
     triangle_normals: Tensor
     triangle_patch: Tensor
-    features: Tensor
-    vertex_offsets: Tensor
-    normal_offsets: Tensor
-    face_offsets: Tensor
-    model_ids: Tensor
-    names: tuple[str, ...]
+    normal_patch: Tensor
+    patch_types: Tensor
+    normal_types: Tensor
+    triangle_types: Tensor
+    sharp_edges: Tensor
+    sharp_vertices: Tensor
+    model_id: int
+    name: str
     snapshot: int
 
 
-def collate_meshes(samples: Sequence[MeshSample]) -> MeshBatch:
-    """Join meshes of different sizes: ``DataLoader(dataset, 8, collate_fn=collate_meshes)``.
+class LocalPatch(NamedTuple):
+    """A piece of a mesh of exactly `n` vertices, grown around one of them.
 
-    Raises
-    ------
-    UsageError
-        If there are no samples, or they are of several snapshots.
+    Parameters
+    ----------
+    positions : Tensor
+        ``(n, 3)`` float32, mm; the first one is where the piece was grown from.
+    normals : Tensor
+        ``(n, 3)`` float32, the unit mean of a vertex's outward normals on its patches, as the
+        paper's benchmark takes it; NaN where no patch has one or where they cancel out.
+    features : Tensor
+        ``(n,)`` uint8, as in `MeshSample`.
+    triangles : Tensor
+        ``(f, 3)`` int64, rows of `positions`.
+    vertices : Tensor
+        ``(n,)`` int64, the vertices of the model's mesh.
+    model_id, name, snapshot
+        As in `MeshSample`.
     """
-    snapshots = {sample.snapshot for sample in samples}
-    if len(snapshots) != 1:
-        raise UsageError(
-            f"a batch is of one snapshot and at least one mesh, got {sorted(snapshots)}"
-        )
-    vertex = _offsets(len(s.positions) for s in samples)
-    normal = _offsets(len(s.normals) for s in samples)
-    face = _offsets(len(s.triangles) for s in samples)
-    return MeshBatch(
-        positions=torch.cat([s.positions for s in samples]),
-        normals=torch.cat([s.normals for s in samples]),
-        curvatures=torch.cat([s.curvatures for s in samples]),
-        normal_patch=torch.cat([s.normal_patch for s in samples]),
-        triangles=torch.cat(
-            [s.triangles + first for s, first in zip(samples, vertex, strict=False)]
-        ),
-        triangle_normals=torch.cat(
-            [s.triangle_normals + first for s, first in zip(samples, normal, strict=False)]
-        ),
-        triangle_patch=torch.cat([s.triangle_patch for s in samples]),
-        features=torch.cat([s.features for s in samples]),
-        vertex_offsets=vertex,
-        normal_offsets=normal,
-        face_offsets=face,
-        model_ids=torch.tensor([s.model_id for s in samples]),
-        names=tuple(s.name for s in samples),
-        snapshot=snapshots.pop(),
-    )
+
+    positions: Tensor
+    normals: Tensor
+    features: Tensor
+    triangles: Tensor
+    vertices: Tensor
+    model_id: int
+    name: str
+    snapshot: int
 
 
-def _offsets(counts: Iterable[int]) -> Tensor:
-    """Return running sums from 0."""
-    return torch.tensor([0, *counts]).cumsum(0)
+class GraphSample(NamedTuple):
+    """The B-Rep of a model as a graph: patches are nodes, curves between two of them are edges.
+
+    Parameters
+    ----------
+    x : Tensor
+        ``(p, 14)`` float32, features of the patches; see `breplake.loaders.graphs.NODE_FEATURES`.
+    edge_index : Tensor
+        ``(2, e)`` int64, patches; each pair of neighbours comes both ways.
+    edge_attr : Tensor
+        ``(e, 14)`` float32, features of the curves; see `breplake.loaders.graphs.EDGE_FEATURES`.
+    patch_types : Tensor
+        ``(p,)`` uint8, place of the type in `breplake.schema.types.SURFACE_TYPES`.
+    curves : Tensor
+        ``(e,)`` int64, the curve of each edge.
+    model_id, name, snapshot
+        As in `MeshSample`.
+    """
+
+    x: Tensor
+    edge_index: Tensor
+    edge_attr: Tensor
+    patch_types: Tensor
+    curves: Tensor
+    model_id: int
+    name: str
+    snapshot: int
+
+
+class GridSample(NamedTuple):
+    """UV-grids of a model: regular samples in the parameters of its patches and curves.
+
+    Parameters
+    ----------
+    patch_grids : Tensor
+        ``(p, ...)`` float32, a grid for each patch, laid out as the lake's array ``patch_grid``.
+    curve_grids : Tensor
+        ``(c, ...)`` float32, a grid for each curve, laid out as the array ``curve_grid``.
+    edge_index : Tensor
+        ``(2, e)`` int64, as in `GraphSample`.
+    curves : Tensor
+        ``(e,)`` int64, the curve of each edge.
+    patch_types : Tensor
+        ``(p,)`` uint8, as in `GraphSample`.
+    model_id, name, snapshot
+        As in `MeshSample`.
+    """
+
+    patch_grids: Tensor
+    curve_grids: Tensor
+    edge_index: Tensor
+    curves: Tensor
+    patch_types: Tensor
+    model_id: int
+    name: str
+    snapshot: int

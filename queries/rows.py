@@ -15,7 +15,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from breplake.errors import LakeFormatError, NameNotFoundError
+from breplake.schema.identities import read_ids
 from breplake.schema.snapshot import FileEntry, Snapshot
+from breplake.schema.storage import Storage
 from breplake.schema.tables import TABLES
 
 __all__ = ["RowReader"]
@@ -92,16 +94,11 @@ class RowReader:
         return rows.select(columns) if columns else rows
 
     def _read_index(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.str_]]:
-        ids: list[npt.NDArray[np.int64]] = [np.empty(0, np.int64)]
-        shards: list[npt.NDArray[np.str_]] = [np.empty(0, "U1")]
-        for entry in self._snapshot.table_files("models"):
-            with pq.ParquetFile(self._root / entry.path) as file:
-                part = file.read(columns=["model_id"]).column("model_id").to_numpy()
-            ids.append(part)
-            shards.append(np.full(len(part), entry.shard))
-        joined = np.concatenate(ids)
-        order = np.argsort(joined)
-        return joined[order], np.concatenate(shards)[order]
+        entries = self._snapshot.table_files("models")
+        ids = read_ids(Storage(self._root), entries)
+        names = np.array([entry.shard for entry in entries], np.str_)
+        order = np.argsort(ids)
+        return ids[order], np.repeat(names, [entry.rows for entry in entries])[order]
 
     def _read_file(
         self, entry: FileEntry, model_id: int, columns: Sequence[str] | None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from breplake.errors import LakeFormatError, NameNotFoundError, UsageError
+from breplake.queries.names import did_you_mean
 from breplake.queries.rows import RowReader
 from breplake.schema.array_reader import ArrayShardReader
 from breplake.schema.lake import LakeStore
@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from breplake.queries.info import LakeInfo
+    from breplake.queries.sandbox import Sandbox
+    from breplake.schema.subset import Subset
 
 __all__ = ["Lake"]
 
@@ -99,6 +101,23 @@ class Lake:
         _require_table(table, ARRAYS_TABLE)
         return [str(self.root / entry.path) for entry in self.snapshot.table_files(table)]
 
+    def sources(self, table: str) -> list[str]:
+        """Return the files from which a whole table is read fastest, absolute.
+
+        That is its consolidated copy if there is one (`breplake.queries.consolidated`), else its
+        files.
+
+        Raises
+        ------
+        NameNotFoundError
+            If there is no such table.
+        """
+        from breplake.queries.consolidated import consolidated_path
+
+        files = self.files(table)
+        copy = consolidated_path(self.root, table, self.snapshot.table_files(table))
+        return [str(copy)] if files and copy.exists() else files
+
     @property
     def connection(self) -> duckdb.DuckDBPyConnection:
         """The DuckDB session of this process, with a view for each table.
@@ -130,7 +149,7 @@ class Lake:
             },
         )
         try:
-            create_views(connection, {table: self.files(table) for table in TABLES})
+            create_views(connection, {table: self.sources(table) for table in TABLES})
         except duckdb.Error as error:
             raise LakeFormatError(f"the lake is damaged ({error}): run breplake check") from error
         return connection
@@ -140,14 +159,14 @@ class Lake:
     ) -> duckdb.DuckDBPyRelation:
         """Run SQL that reads; the tables are views by their names.
 
-        Besides the tables there are ``vertex_normals`` and ``adjacency``
-        (see `breplake.queries.views`).
+        Besides the tables there are the views ``vertex_normals``, ``adjacency``, ``fillets`` and
+        ``holes`` (see `breplake.queries.views`).
 
         Parameters
         ----------
         query : str
-            One or more reading statements. This prevents accidents and is no sandbox: do not
-            run SQL of people you do not trust.
+            One or more reading statements. This prevents accidents and is no sandbox: run SQL of
+            people you do not trust in `sandbox`.
         params : sequence or mapping, optional
             Values of ``?`` or ``$name``.
 
@@ -174,6 +193,68 @@ class Lake:
         except duckdb.Error as error:
             raise UsageError(str(error)) from error
 
+    def sandbox(
+        self,
+        *,
+        timeout: float = 30.0,
+        memory: float = 1.0,
+        max_rows: int = 1_000_000,
+        max_bytes: int = 256_000_000,
+    ) -> Sandbox:
+        """Return where to run SQL of people you do not trust: ``lake.sandbox().sql("SELECT 1")``.
+
+        Parameters
+        ----------
+        timeout : float
+            Seconds for a query, the start of its process included.
+        memory : float
+            Memory for a query, GB.
+        max_rows, max_bytes : int
+            Size that an answer may have.
+
+        Raises
+        ------
+        UsageError
+            If a limit is not positive.
+        """
+        from breplake.queries.sandbox import Sandbox
+
+        return Sandbox(self, timeout, memory, max_rows, max_bytes)
+
+    def query(
+        self, name: str, /, *, where: str | None = None, **params: Any
+    ) -> duckdb.DuckDBPyRelation:
+        """Run a query of the library, for instance ``lake.query("fillets", min_radius=1)``.
+
+        Parameters
+        ----------
+        name : str
+            Its name; `breplake.queries.named.named_queries` lists all.
+        where : str, optional
+            SQL condition on a row of ``models``: the query then sees only these models.
+        **params
+            Its parameters.
+
+        Returns
+        -------
+        duckdb.DuckDBPyRelation
+            As of `sql`.
+
+        Raises
+        ------
+        NameNotFoundError
+            If there is no query or parameter of that name.
+        UsageError
+            If a value is not of its parameter's type, a required one is missing, or `where` is
+            wrong.
+        """
+        from breplake.queries.named import named_query
+        from breplake.queries.scope import over_models
+
+        query = named_query(name)
+        sql = query.sql if where is None else over_models(query.sql, where)
+        return self.sql(sql, query.bind(params))
+
     def scan(self, table: str) -> pl.LazyFrame:
         """Return a polars frame over the files of `table`, which reads when collected.
 
@@ -185,7 +266,7 @@ class Lake:
         import polars as pl
 
         _require_table(table)
-        paths = self.files(table)
+        paths = self.sources(table)
         if paths:
             return pl.scan_parquet(paths, glob=False, hive_partitioning=False)
         empty = pl.from_arrow(TABLES[table].empty())
@@ -204,7 +285,7 @@ class Lake:
         names = TABLES[table].schema.names
         if unknown := sorted(set(columns or ()) - set(names)):
             raise NameNotFoundError(
-                f"table {table} has no column {unknown[0]}{_near(unknown[0], names)}"
+                f"table {table} has no column {unknown[0]}{did_you_mean(unknown[0], names)}"
             )
         return self._rows.read(table, int(model_id), columns)
 
@@ -260,6 +341,18 @@ class Lake:
         said = failures[-1]["message"] if failures else "unknown"
         return f"{name_or_id} was not read into the lake: {said}"
 
+    def subset(self, name: str) -> Subset:
+        """Return a subset of the lake by its name, whatever snapshot it was made at.
+
+        Raises
+        ------
+        NameNotFoundError
+            If there is none.
+        """
+        from breplake.queries.subsets import load_subset
+
+        return load_subset(self, name)
+
     def arrays(self, shard: str) -> ArrayShardReader:
         """Return the reader of a shard's arrays.
 
@@ -288,10 +381,5 @@ def _require_table(name: str, *also: str) -> None:
     known = [*TABLES, *also]
     if name not in known:
         raise NameNotFoundError(
-            f"there is no table {name!r}{_near(name, known)}; tables are {', '.join(known)}"
+            f"there is no table {name!r}{did_you_mean(name, known)}; tables are {', '.join(known)}"
         )
-
-
-def _near(name: str, known: Sequence[str]) -> str:
-    found = difflib.get_close_matches(name, known, n=1)
-    return f": did you mean {found[0]}?" if found else ""

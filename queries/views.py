@@ -13,8 +13,9 @@ from breplake.schema.tables import TABLES
 
 __all__ = ["DERIVED", "create_views", "derived_sql"]
 
-DERIVED: Final = ("vertex_normals", "adjacency")
-"""Views that are computed from the tables, each documented in ``queries/views/<name>.sql``."""
+DERIVED: Final = ("vertex_normals", "adjacency", "fillets", "holes")
+"""Views that are computed from the tables, each documented in ``queries/views/<name>.sql``; a later
+one may read an earlier one."""
 
 
 def derived_sql(name: str) -> str:

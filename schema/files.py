@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
-from collections.abc import Iterator, Sequence
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import pyarrow.parquet as pq
 
-from breplake.errors import CommitConflictError, UsageError
+from breplake.errors import UsageError
 from breplake.schema.contract import Table
 from breplake.schema.snapshot import ARRAYS_TABLE, FileEntry
-from breplake.schema.storage import file_hash, folder_files, folder_hash
+from breplake.schema.storage import Storage
+from breplake.schema.tables import TABLES
 
-__all__ = [
-    "FileProblem",
-    "check_models",
-    "compare",
-    "describe_arrays",
-    "describe_table",
-    "measure",
-]
+__all__ = ["FileProblem", "checked_name", "compare", "describe", "list_name"]
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,36 +40,100 @@ class FileProblem:
     message: str
 
 
-def measure(path: Path) -> tuple[int, str]:
-    """Return size in bytes and SHA-256 of a file, or of a folder with all its files."""
-    if path.is_dir():
-        return sum((path / name).stat().st_size for name in folder_files(path)), folder_hash(path)
-    return path.stat().st_size, file_hash(path)
+def checked_name(name: str, what: str) -> str:
+    """Return `name` if it is fit to name a `what` (a shard, a tag).
+
+    Raises
+    ------
+    UsageError
+        If it is not.
+    """
+    if not _NAME.fullmatch(name) or len(name) > 200:
+        raise UsageError(
+            f"a {what} is named by letters, digits, '.', '_' and '-', at most 200, got {name!r}"
+        )
+    return name
 
 
-def compare(root: Path, entry: FileEntry) -> FileProblem | None:
+def list_name(path: str) -> str:
+    """Return the path of the list of a folder's files and hashes, which lies beside it.
+
+    It lets one copy the folder from where files cannot be listed, and check them one by one
+    (``cd arrays/s0.zarr && sha256sum --check ../s0.zarr.sha256``). Its own hash is the folder's.
+    """
+    return f"{path}.sha256"
+
+
+def compare(storage: Storage, entry: FileEntry) -> FileProblem | None:
     """Return what is wrong with the file that `entry` describes, or None."""
-    path = root / entry.path
-    if not (path.is_dir() if entry.table == ARRAYS_TABLE else path.is_file()):
+    is_folder = entry.table == ARRAYS_TABLE
+    size = _folder_size(storage, entry.path) if is_folder else storage.size(entry.path)
+    if size is None:
         return FileProblem(entry.path, "missing", "the file is not there")
-    size, digest = measure(path)
     if size != entry.bytes:
         return FileProblem(entry.path, "size", f"{size} bytes instead of {entry.bytes}")
+    digest = _digest(_folder_list(storage, entry.path)) if is_folder else storage.hash(entry.path)
     if digest != entry.sha256:
         return FileProblem(entry.path, "sha256", f"hash {digest} instead of {entry.sha256}")
     return None
 
 
-def describe_table(path: Path, table: Table) -> tuple[int, tuple[int | None, int | None]]:
-    """Return rows and range of ``model_id`` of a Parquet file, from its footer.
+def _folder_size(storage: Storage, path: str) -> int | None:
+    sizes = [file.bytes for file in storage.files(path)]
+    return sum(sizes) if sizes else None
+
+
+def _folder_list(storage: Storage, path: str) -> bytes:
+    """Return the lines of `list_name` of a folder."""
+    names = sorted(file.path for file in storage.files(path))
+    lines = (f"{storage.hash(name)}  {name.removeprefix(path)[1:]}\n" for name in names)
+    return "".join(lines).encode()
+
+
+def _digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def describe(storage: Storage, path: str) -> FileEntry:
+    """Describe a finished file of a local lake; beside a folder, write its list.
+
+    Parameters
+    ----------
+    storage : Storage
+        The lake.
+    path : str
+        ``tables/<table>/<shard>.parquet`` or ``arrays/<shard>.zarr``.
 
     Raises
     ------
+    UsageError
+        If the path is none of these, or the file breaks its table's contract.
     FileNotFoundError
         If there is no such file.
-    UsageError
-        If its columns are not those of `table`, or the footer lacks statistics.
     """
+    absolute = storage.path(path)
+    match path.split("/"):
+        case ["tables", table, file] if table in TABLES and file.endswith(".parquet"):
+            shard = checked_name(file.removesuffix(".parquet"), "shard")
+            rows, ids = _describe_table(absolute, TABLES[table])
+            size, digest = absolute.stat().st_size, storage.hash(path)
+        case ["arrays", folder] if folder.endswith(".zarr"):
+            table, shard = ARRAYS_TABLE, checked_name(folder.removesuffix(".zarr"), "shard")
+            models = FileEntry("models", shard, 0, 0, "", None, None)
+            _, ids = _describe_table(storage.path(models.path), TABLES["models"])
+            rows = _describe_arrays(absolute)
+            lines = _folder_list(storage, path)
+            size, digest = _folder_size(storage, path) or 0, _digest(lines)
+            storage.overwrite(list_name(path), lines)
+        case _:
+            raise UsageError(
+                f"{path} is neither tables/<table>/<shard>.parquet nor arrays/<shard>.zarr"
+            )
+    return FileEntry(table, shard, rows, size, digest, *ids)
+
+
+def _describe_table(path: Path, table: Table) -> tuple[int, tuple[int | None, int | None]]:
+    """Return rows and range of ``model_id`` of a Parquet file, from its footer."""
     metadata = pq.read_metadata(path)
     schema = metadata.schema.to_arrow_schema()
     if not schema.equals(table.schema):
@@ -93,68 +154,6 @@ def describe_table(path: Path, table: Table) -> tuple[int, tuple[int | None, int
     return metadata.num_rows, (min(low, default=None), max(high, default=None))
 
 
-def describe_arrays(path: Path) -> int:
-    """Return the rows of ``position`` in a folder of arrays.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the folder or its array ``position`` is not there.
-    """
+def _describe_arrays(path: Path) -> int:
+    """Return the rows of ``position`` in a folder of arrays."""
     return int(json.loads((path / "position" / "zarr.json").read_text())["shape"][0])
-
-
-def check_models(root: Path, new: Sequence[FileEntry], old: Sequence[FileEntry]) -> None:
-    """Check that no model of the files `new` is among those of `old`, or twice in `new`.
-
-    A model is in a lake when it has a row in ``models`` or a fatal one in ``failures``.
-
-    Raises
-    ------
-    CommitConflictError
-        If one is: the same model was added twice, or two names share an id.
-    """
-    seen: dict[int, tuple[str, str]] = {}
-    for identity, name, path in _identities(root, new):
-        if identity in seen:
-            _refuse(identity, seen[identity], (name, path))
-        seen[identity] = (name, path)
-    if not seen:
-        return
-    near = [e for e in old if _overlaps(e, min(seen), max(seen))]
-    for identity, name, path in _identities(root, near):
-        if identity in seen:
-            _refuse(identity, seen[identity], (name, path))
-
-
-def _identities(root: Path, files: Sequence[FileEntry]) -> Iterator[tuple[int, str, str]]:
-    """Yield (model_id, collection/name, path) of every model in `files`."""
-    names = ["model_id", "collection", "name"]
-    for entry in files:
-        if entry.table not in ("models", "failures"):
-            continue
-        fatal = ["fatal"] if entry.table == "failures" else []
-        with pq.ParquetFile(root / entry.path) as file:
-            rows = file.read(columns=names + fatal)
-        if fatal:
-            rows = rows.filter(rows.column("fatal"))
-        columns = (rows.column(name).to_pylist() for name in names)
-        for identity, collection, name in zip(*columns, strict=True):
-            yield identity, f"{collection}/{name}", entry.path
-
-
-def _overlaps(entry: FileEntry, low: int, high: int) -> bool:
-    if entry.min_model_id is None or entry.max_model_id is None:
-        return False
-    return entry.min_model_id <= high and low <= entry.max_model_id
-
-
-def _refuse(identity: int, first: tuple[str, str], second: tuple[str, str]) -> None:
-    if first[0] == second[0]:
-        raise CommitConflictError(
-            f"model {first[0]} is in both {first[1]} and {second[1]}: a model is added once, "
-            "replace its file to add it anew"
-        )
-    raise CommitConflictError(
-        f"models {first[0]} and {second[0]} share the id {identity}: rename one of them"
-    )

@@ -2,18 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
-from breplake.schema.namespace import Array, Floats, cross, dot, length, namespace, slices
+from breplake.schema.forms import principal, unit_normal
+from breplake.schema.namespace import VANISHING, Array, namespace, slices
 
-__all__ = ["LEAST_ANGLE", "CurveJet", "PrincipalCurvature", "SurfaceJet"]
+__all__ = [
+    "LEAST_ANGLE",
+    "CurveJet",
+    "PcurveJet",
+    "PrincipalCurvature",
+    "SurfaceJet",
+    "SurfacePoints",
+    "times_known",
+]
 
-LEAST_ANGLE = 1e-9
+LEAST_ANGLE: Final = VANISHING
 """Sine of the angle of du and dv below which a patch has no normal."""
 
-_BATCH = 16_384  # points whose temporaries stay in the cache
+_BATCH: Final = 16_384  # points whose temporaries stay in the cache
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,15 +33,30 @@ class CurveJet:
 
     Attributes
     ----------
-    point : numpy.ndarray
+    point : array
         mm.
-    d1, d2 : numpy.ndarray
+    d1, d2 : array
         First and second derivative.
     """
 
-    point: Floats
-    d1: Floats
-    d2: Floats
+    point: Array
+    d1: Array
+    d2: Array
+
+
+@dataclass(frozen=True, slots=True)
+class PcurveJet:
+    """Points (u, v) with derivatives by the curve's parameter, each ``(n, 2)``; NaN if unknown.
+
+    Attributes
+    ----------
+    point, d1, d2 : array
+        Parameters on the patch, first and second derivative.
+    """
+
+    point: Array
+    d1: Array
+    d2: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,17 +65,37 @@ class PrincipalCurvature:
 
     Attributes
     ----------
-    k_min, k_max : numpy.ndarray
+    k_min, k_max : array
         ``(n,)`` 1/mm, ``k_min <= k_max``, positive where the surface bends to the normal.
-    d_min, d_max : numpy.ndarray
+    d_min, d_max : array
         ``(n, 3)`` unit, tangent, orthogonal. At an umbilic, where every direction will
         do, d_min is along du.
     """
 
-    k_min: Floats
-    k_max: Floats
-    d_min: Floats
-    d_max: Floats
+    k_min: Array
+    k_max: Array
+    d_min: Array
+    d_max: Array
+
+
+@dataclass(frozen=True, slots=True)
+class SurfacePoints:
+    """Points of surfaces with normals and principal curvatures; NaN where undefined.
+
+    Attributes
+    ----------
+    point : array
+        ``(n, 3)`` mm.
+    normal : array
+        ``(n, 3)`` unit, along du x dv.
+    k_min, k_max : array
+        ``(n,)`` 1/mm, ``k_min <= k_max``, positive where the surface bends to the normal.
+    """
+
+    point: Array
+    normal: Array
+    k_min: Array
+    k_max: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,132 +104,87 @@ class SurfaceJet:
 
     Attributes
     ----------
-    point : numpy.ndarray
+    point : array
         mm.
-    du, dv, duu, duv, dvv : numpy.ndarray
+    du, dv, duu, duv, dvv : array
         First and second derivatives.
-    least : numpy.ndarray
+    least : array
         ``(n, 2)`` lengths of du and dv at and below which rounding decides them.
-    radial : numpy.ndarray or None
+    radial : array or None
         ``(n, 3)`` normal on spheres, which holds at their poles too; NaN elsewhere.
-    umbilic : numpy.ndarray or None
+    umbilic : array or None
         ``(n,)`` curvature of spheres towards `radial`, 1/mm; NaN elsewhere.
     """
 
-    point: Floats
-    du: Floats
-    dv: Floats
-    duu: Floats
-    duv: Floats
-    dvv: Floats
-    least: Floats
-    radial: Floats | None = None
-    umbilic: Floats | None = None
+    point: Array
+    du: Array
+    dv: Array
+    duu: Array
+    duv: Array
+    dvv: Array
+    least: Array
+    radial: Array | None = None
+    umbilic: Array | None = None
 
-    def normal(self) -> Floats:
+    def normal(self) -> Array:
         """Return the unit normals du x dv / abs(du x dv).
 
         Returns
         -------
-        numpy.ndarray
+        array
             ``(n, 3)``, NaN where du or dv vanishes or both are parallel: cone apexes,
             collapsed sides of splines. Spheres have their normal at the poles too.
         """
-        normal = np.empty((3, len(self.point)))
-        for part in slices(len(self.point), _BATCH):
-            normal[:, part] = _unit_normal(self.du[part].T, self.dv[part].T, self.least[part].T)
+        normal = self._in_batches(lambda part: unit_normal(*self._firsts(part)), 3).T
         if self.radial is None:
-            return normal.T
-        return np.where(np.isnan(self.radial), normal.T, self.radial)
+            return normal
+        xp = namespace(normal)
+        return xp.where(xp.isnan(self.radial), normal, self.radial)
 
-    def curvature(self, normal: Floats | None = None) -> PrincipalCurvature:
+    def curvature(self, normal: Array | None = None) -> PrincipalCurvature:
         """Return the principal curvatures towards `normal`.
 
         Parameters
         ----------
-        normal : numpy.ndarray, optional
+        normal : array, optional
             ``(n, 3)`` unit normals of either side; by default those of `normal()`.
         """
-        count = len(self.point)
-        normal = self.normal() if normal is None else normal
-        k_min, k_max = np.empty(count), np.empty(count)
-        d_min, d_max = np.empty((3, count)), np.empty((3, count))
-        for part in slices(count, _BATCH):
-            first = self.du[part].T, self.dv[part].T
-            second = self.duu[part].T, self.duv[part].T, self.dvv[part].T
-            result = _principal(*first, *second, normal[part].T, self.least[part].T)
-            k_min[part], k_max[part], d_min[:, part], d_max[:, part] = result
+        towards = self.normal() if normal is None else normal
+        xp = namespace(towards)
+
+        def work(part: slice) -> Array:
+            du, dv, least = self._firsts(part)
+            seconds = self.duu[part].T, self.duv[part].T, self.dvv[part].T
+            found = principal(du, dv, seconds, towards[part].T, least)
+            return xp.concatenate([found.k_min[None], found.k_max[None], found.d_min, found.d_max])
+
+        found = self._in_batches(work, 8)
+        k_min, k_max = found[0], found[1]
         if self.radial is not None and self.umbilic is not None:
-            side = np.sign((normal * self.radial).sum(axis=1))
-            known = self.umbilic * side
-            k_min = np.where(np.isnan(known), k_min, known)
-            k_max = np.where(np.isnan(known), k_max, known)
-        return PrincipalCurvature(k_min, k_max, d_min.T, d_max.T)
+            sphere = ~xp.isnan(self.umbilic)
+            side = xp.sign((towards * xp.where(sphere[:, None], self.radial, 0.0)).sum(-1))
+            known = xp.where(sphere, self.umbilic, 0.0) * side
+            k_min, k_max = xp.where(sphere, known, k_min), xp.where(sphere, known, k_max)
+        return PrincipalCurvature(k_min, k_max, found[2:5].T, found[5:8].T)
+
+    def _firsts(self, part: slice) -> tuple[Array, Array, Array]:
+        return self.du[part].T, self.dv[part].T, self.least[part].T
+
+    def _in_batches(self, work: Callable[[slice], Array], height: int) -> Array:
+        """Return what `work` makes of all points, ``(height, n)``."""
+        if not isinstance(self.point, np.ndarray):
+            return work(slice(None))
+        out = np.empty((height, len(self.point)))
+        for part in slices(len(self.point), _BATCH):
+            out[:, part] = work(part)
+        return out
 
 
-def _unit_normal(du: Array, dv: Array, least: Array) -> Array:
-    """Return the unit normals ``(3, n)`` of ``(3, n)`` tangents, NaN where undefined."""
-    xp = namespace(du)
-    a, b = length(du), length(dv)
-    defined = (a > least[0]) & (b > least[1])
-    normal = cross(du / xp.where(defined, a, 1.0), dv / xp.where(defined, b, 1.0))
-    sine = length(normal)
-    defined = defined & (sine > LEAST_ANGLE)
-    return xp.where(defined, normal / xp.where(defined, sine, 1.0), xp.nan)
+def times_known(numbers: Array, vectors: Array) -> Array:
+    """Return numbers ``(n,)`` times vectors ``(n, 3)``, NaN where the number is.
 
-
-def _principal(
-    du: Array, dv: Array, duu: Array, duv: Array, dvv: Array, normal: Array, least: Array
-) -> tuple[Array, Array, Array, Array]:
-    """Return k_min, k_max ``(n,)`` and d_min, d_max ``(3, n)``; all inputs ``(3, n)``.
-
-    The second fundamental form is first written in an orthonormal basis of the tangent
-    plane: eigenvalues of a symmetric matrix are then as accurate as its entries.
+    Gradients by the vectors are zero there, and no NaN.
     """
-    xp = namespace(du)
-    a = length(du)
-    defined = (a > least[0]) & (length(dv) > least[1])
-    a = xp.where(defined, a, 1.0)
-    t1 = du / a
-    b = dot(dv, t1)
-    rest = dv - b * t1  # the part of dv across du
-    c = length(rest)
-    defined = defined & (c > 0)
-    c = xp.where(defined, c, 1.0)
-    t2 = rest / c
-    s11 = dot(duu, normal) / a / a
-    mixed = dot(duv, normal) / a
-    s12 = (mixed - b * s11) / c
-    s22 = (dot(dvv, normal) - b * (2 * mixed - b * s11)) / c / c
-    k1, k2, sine, cosine = _rotation(s11, s12, s22)
-    d1, d2 = cosine * t1 - sine * t2, sine * t1 + cosine * t2
-    swap = k1 > k2
-    d_min, d_max = xp.where(swap, d2, d1), xp.where(swap, d1, d2)
-    k_min, k_max = xp.where(swap, k2, k1), xp.where(swap, k1, k2)
-    return (
-        xp.where(defined, k_min, xp.nan),
-        xp.where(defined, k_max, xp.nan),
-        xp.where(defined, d_min, xp.nan),
-        xp.where(defined, d_max, xp.nan),
-    )
-
-
-def _rotation(s11: Array, s12: Array, s22: Array) -> tuple[Array, Array, Array, Array]:
-    """Diagonalise symmetric 2 x 2 matrices by one Jacobi rotation each.
-
-    Unlike mean and difference, it keeps a small eigenvalue beside a large one exact when
-    the matrix is diagonal already, as it is in the parameters of most surfaces.
-
-    Returns
-    -------
-    k1, k2, sine, cosine : array
-        ``(n,)`` eigenvalues, of the vectors ``(cosine, -sine)`` and ``(sine, cosine)``.
-    """
-    xp = namespace(s11)
-    half = (s22 - s11) / 2
-    below = abs(half) + xp.hypot(half, s12)
-    turned = below > 0
-    tangent = xp.where(half < 0, -s12, s12) / xp.where(turned, below, 1.0)
-    tangent = xp.where(turned, tangent, 0.0)
-    cosine = 1 / xp.sqrt(1 + tangent * tangent)
-    return s11 - tangent * s12, s22 + tangent * s12, tangent * cosine, cosine
+    xp = namespace(vectors)
+    known = ~xp.isnan(numbers)
+    return xp.where(known[:, None], xp.where(known, numbers, 0.0)[:, None] * vectors, xp.nan)

@@ -1,4 +1,4 @@
-"""A lake on disk: write-once files, and snapshots whose creation is the commit.
+"""A lake: write-once files, and snapshots whose creation is the commit.
 
 ::
 
@@ -6,7 +6,7 @@
     LAKE/snapshots/00000042.json           created if absent: that is the commit
     LAKE/tags/v1.json                      name -> snapshot
     LAKE/tables/<table>/<shard>.parquet    write-once
-    LAKE/arrays/<shard>.zarr/              write-once
+    LAKE/arrays/<shard>.zarr/              write-once; its files and hashes beside it
 
 A writer puts its files under new names, registers them and commits.  A process killed at
 any moment leaves the last snapshot whole, plus files that no snapshot names.
@@ -15,9 +15,10 @@ any moment leaves the last snapshot whole, plus files that no snapshot names.
 from __future__ import annotations
 
 import json
-import re
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -28,53 +29,63 @@ from breplake.errors import (
     NameNotFoundError,
     UsageError,
 )
-from breplake.schema.files import (
-    FileProblem,
-    check_models,
-    compare,
-    describe_arrays,
-    describe_table,
-    measure,
-)
-from breplake.schema.snapshot import ARRAYS_TABLE, FileEntry, Snapshot
+from breplake.schema.files import FileProblem, checked_name, compare, describe
+from breplake.schema.identities import IdentityIndex
+from breplake.schema.lock import writer_lock
+from breplake.schema.snapshot import FileEntry, Header, Snapshot
 from breplake.schema.storage import Storage
 from breplake.schema.tables import SCHEMA_VERSION, TABLES
+from breplake.schema.versions import VersionLog
 
-__all__ = ["FORMAT_VERSION", "FileProblem", "LakeStore"]
+__all__ = ["FORMAT_VERSION", "MARKER", "FileProblem", "LakeStore"]
 
 FORMAT_VERSION = 1
 """Version of the layout of the folder. Readers refuse a higher one."""
 
-_MARKER = "breplake.json"
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+MARKER = "breplake.json"
+"""The file that makes a folder a lake."""
+
 _ATTEMPTS = 1000
 
 
 class LakeStore:
     """A lake as writers see it; readers use ``breplake.open``.
 
-    Make one with `create`, `open` or `open_or_create`.
+    Make one with `create`, `open` or `open_or_create`. In object storage (``s3://…``) or over
+    HTTP, its files cannot be described or queried in place: `breplake.queries.versions.mirror`
+    copies them. All else works there as in a local folder.
 
     Attributes
     ----------
-    root : pathlib.Path
-        Absolute path of the lake's folder.
+    storage : Storage
+        Where it is.
     lake_id : str
         Random id, the same wherever the lake is moved or copied.
+    log : VersionLog
+        The documents of its history.
     """
 
     def __init__(self, storage: Storage, lake_id: str) -> None:
-        self._storage = storage
+        self.storage = storage
         self.lake_id = lake_id
+        self.log = VersionLog(storage)
+        self._identities = IdentityIndex(storage)
 
     @property
     def root(self) -> Path:
-        """Absolute path of the lake's folder."""
-        return self._storage.root
+        """Absolute path of the lake's folder; UsageError if it is not local."""
+        return self.storage.root
 
     @classmethod
-    def create(cls, path: str | Path) -> LakeStore:
+    def create(cls, path: str | Path, lake_id: str | None = None) -> LakeStore:
         """Create an empty lake in a new or empty folder.
+
+        Parameters
+        ----------
+        path : path
+            The folder.
+        lake_id : str, optional
+            Its id; a random one if not given.
 
         Raises
         ------
@@ -86,61 +97,67 @@ class LakeStore:
             raise UsageError(f"{root} is a file, a lake is a folder")
         root.mkdir(parents=True, exist_ok=True)
         # a kill while the marker is staged leaves "breplake.json#1", which is no obstacle
-        others = [p.name for p in root.iterdir() if not p.name.startswith(f"{_MARKER}#")]
-        if others and _MARKER not in others:
+        others = [p.name for p in root.iterdir() if not p.name.startswith(f"{MARKER}#")]
+        if others and MARKER not in others:
             raise UsageError(f"{root} holds other files ({others[0]} ...): name a new folder")
         document = {
             "format": "breplake",
             "format_version": FORMAT_VERSION,
-            "lake_id": uuid.uuid4().hex,
+            "lake_id": lake_id or uuid.uuid4().hex,
         }
         data = (json.dumps(document, indent=1, sort_keys=True) + "\n").encode()
-        if not Storage(root).create(_MARKER, data):
+        if not Storage(root).create(MARKER, data):
             raise UsageError(f"there is a lake in {root} already: open it instead")
         return cls.open(root)
 
     @classmethod
-    def open(cls, path: str | Path) -> LakeStore:
-        """Open a lake.
+    def open(cls, place: str | Path) -> LakeStore:
+        """Open a lake in a folder, or at a URL as `Storage` takes it.
 
         Raises
         ------
         LakeNotFoundError
-            If there is none in that folder.
+            If there is none.
         LakeFormatError
             If it is of a format that this version cannot read.
         """
-        root = Path(path)
-        if not (root / _MARKER).is_file():
-            raise LakeNotFoundError(
-                f"there is no lake in {root} (no file {_MARKER}): make one with breplake ingest"
-            )
-        storage = Storage(root)
+        missing = f"there is no lake in {place} (no file {MARKER}): make one with breplake ingest"
         try:
-            document = json.loads(storage.read(_MARKER))
+            storage = Storage(place)
+            data = storage.read(MARKER)
+        except FileNotFoundError as error:
+            raise LakeNotFoundError(missing) from error
+        try:
+            document = json.loads(data)
             version, lake_id = int(document["format_version"]), str(document["lake_id"])
         except (KeyError, TypeError, ValueError) as error:
-            raise LakeFormatError(f"{root / _MARKER} is not a lake's marker: {error!r}") from error
+            raise LakeFormatError(
+                f"{storage.name}/{MARKER} is not a lake's marker: {error!r}"
+            ) from error
         if version > FORMAT_VERSION:
             raise LakeFormatError(
-                f"the lake {root} has format version {version}, this breplake reads up to "
+                f"the lake {storage.name} has format version {version}, this breplake reads up to "
                 f"{FORMAT_VERSION}: upgrade with pip install -U breplake"
             )
         return cls(storage, lake_id)
 
     @classmethod
-    def open_or_create(cls, path: str | Path) -> LakeStore:
-        """Open the lake in `path`, or create it; safe when many processes do so at once."""
+    def open_or_create(cls, path: str | Path, lake_id: str | None = None) -> LakeStore:
+        """Open the lake in `path`, or `create` it; safe when many processes do so at once."""
         try:
             return cls.open(path)
         except LakeNotFoundError:
             pass
         try:
-            return cls.create(path)
+            return cls.create(path, lake_id)
         except UsageError:
-            if (Path(path) / _MARKER).is_file():
+            if (Path(path) / MARKER).is_file():
                 return cls.open(path)
             raise
+
+    def lock(self, waiting: Callable[[], None] | None = None) -> AbstractContextManager[None]:
+        """Return a context that holds the writer's lock, as `writer_lock` does."""
+        return writer_lock(self.root, waiting)
 
     def table_path(self, table: str, shard: str) -> Path:
         """Return where the file of `table` in `shard` is to be written; make its folder.
@@ -152,14 +169,14 @@ class LakeStore:
         """
         if table not in TABLES:
             raise UsageError(f"there is no table {table!r}: one of {', '.join(TABLES)}")
-        return self._new_path(f"tables/{table}/{_checked_name(shard, 'shard')}.parquet")
+        return self._new_path(f"tables/{table}/{checked_name(shard, 'shard')}.parquet")
 
     def array_path(self, shard: str) -> Path:
         """Return where the arrays of `shard` are to be written, as `table_path` does."""
-        return self._new_path(f"arrays/{_checked_name(shard, 'shard')}.zarr")
+        return self._new_path(f"arrays/{checked_name(shard, 'shard')}.zarr")
 
     def _new_path(self, relative: str) -> Path:
-        path = self._storage.path(relative)
+        path = self.storage.path(relative)
         if path.exists():
             raise UsageError(
                 f"{path} exists, and files of a lake are written once: name a new shard"
@@ -169,6 +186,8 @@ class LakeStore:
 
     def register(self, path: str | Path) -> FileEntry:
         """Describe a finished file under the lake's root, ready for `commit`.
+
+        Beside a folder of arrays, the list of its files and their hashes is written.
 
         Parameters
         ----------
@@ -184,38 +203,31 @@ class LakeStore:
         FileNotFoundError
             If there is no such file.
         """
-        relative = self._storage.relative(Path(path))
-        absolute = self._storage.path(relative)
-        match relative.split("/"):
-            case ["tables", table, file] if table in TABLES and file.endswith(".parquet"):
-                shard = _checked_name(file.removesuffix(".parquet"), "shard")
-                rows, ids = describe_table(absolute, TABLES[table])
-            case ["arrays", folder] if folder.endswith(".zarr"):
-                table, shard = ARRAYS_TABLE, _checked_name(folder.removesuffix(".zarr"), "shard")
-                _, ids = describe_table(
-                    self.root / f"tables/models/{shard}.parquet", TABLES["models"]
-                )
-                rows = describe_arrays(absolute)
-            case _:
-                raise UsageError(
-                    f"{relative} is neither tables/<table>/<shard>.parquet nor arrays/<shard>.zarr"
-                )
-        return FileEntry(relative, table, shard, rows, *measure(absolute), *ids)
+        return describe(self.storage, self.storage.relative(Path(path)))
 
     def register_shard(self, shard: str) -> list[FileEntry]:
         """Describe all files of `shard` that are there, as `register` does for one."""
         paths = [f"tables/{table}/{shard}.parquet" for table in TABLES] + [f"arrays/{shard}.zarr"]
-        return [self.register(path) for path in paths if self._storage.path(path).exists()]
+        return [self.register(path) for path in paths if self.storage.path(path).exists()]
 
     def numbers(self) -> list[int]:
-        """Return the numbers of all snapshots, ascending."""
-        names = self._storage.names("snapshots")
-        return [int(n[:-5]) for n in names if n.endswith(".json") and n[:-5].isdigit()]
+        """Return the numbers of all snapshots, ascending.
+
+        Raises
+        ------
+        UsageError
+            If the lake is where names cannot be listed.
+        """
+        return self.log.numbers()
+
+    def headers(self) -> Iterator[Header]:
+        """Yield what every snapshot says of itself, ascending, without reading its files."""
+        return self.log.headers()
 
     def head(self) -> Snapshot | None:
         """Return the newest snapshot, or None before the first commit."""
-        numbers = self.numbers()
-        return self._read_snapshot(max(numbers)) if numbers else None
+        number = self.log.newest()
+        return self.log.read(number) if number else None
 
     def snapshot(self, at: int | str | None = None) -> Snapshot:
         """Return a snapshot by number (also as text) or tag; None is the newest.
@@ -231,22 +243,17 @@ class LakeStore:
             head = self.head()
             if head is None:
                 raise NameNotFoundError(
-                    f"the lake {self.root} has no snapshot yet: fill it with breplake ingest"
+                    f"the lake {self.storage.name} has no snapshot yet: "
+                    "fill it with breplake ingest"
                 )
             return head
-        number = int(at) if str(at).isdigit() else self.tags().get(str(at))
-        numbers = self.numbers()
-        if number is None or number not in numbers:
-            known = f"1 to {max(numbers)}" if numbers else "none"
-            tags = ", ".join(self.tags()) or "none"
-            raise NameNotFoundError(
-                f"no snapshot or tag {at!r}: snapshots are {known}, tags {tags}"
-            )
-        return self._read_snapshot(number)
-
-    def _read_snapshot(self, number: int) -> Snapshot:
-        path = f"snapshots/{number:08d}.json"
-        return Snapshot.from_json(self._storage.read(path), path)
+        number = int(at) if str(at).isdigit() else self.log.tagged(str(at))
+        if number is not None:
+            try:
+                return self.log.read(number)
+            except FileNotFoundError:
+                pass
+        raise NameNotFoundError(f"no snapshot or tag {at!r}{self.log.known()}")
 
     def commit(
         self,
@@ -256,6 +263,7 @@ class LakeStore:
         tools: Mapping[str, str],
         config_hash: str,
         replaces: Sequence[str] = (),
+        time: datetime | None = None,
     ) -> Snapshot:
         """Add registered files to the lake in one step.
 
@@ -274,6 +282,8 @@ class LakeStore:
             Hash of the settings that decide the content.
         replaces : sequence of str
             Paths of files of the head that the new ones supersede.
+        time : datetime, optional
+            Time of the commit; now if not given.
 
         Returns
         -------
@@ -286,33 +296,32 @@ class LakeStore:
             If a model or a file is in the head already, or a file to be replaced is not.
         """
         replaced = set(replaces)
-        checked: frozenset[str] = frozenset()
         for _ in range(_ATTEMPTS):
             head = self.head()
             old = head.files if head else ()
-            kept = [entry for entry in old if entry.path not in replaced]
-            _check_files(files, kept, replaced - {entry.path for entry in old})
-            # files that an earlier attempt has compared need no second look
-            check_models(self.root, files, [e for e in kept if e.path not in checked])
-            checked = frozenset(entry.path for entry in kept)
+            kept = [entry for entry in old if entry.path not in replaced] if replaced else old
+            if replaced:
+                _check_replaced(replaced, old)
+            _check_new(files, kept)
+            self._identities.check(files, kept)
             snapshot = Snapshot(
                 number=head.number + 1 if head else 1,
                 parent=head.number if head else None,
                 message=message,
-                time=datetime.now(UTC).isoformat(timespec="seconds"),
+                time=(time or datetime.now(UTC)).isoformat(timespec="seconds"),
                 schema_version=SCHEMA_VERSION,
                 tools=dict(sorted(tools.items())),
                 config_hash=config_hash,
                 files=tuple(sorted([*kept, *files])),
             )
-            if self._storage.create(f"snapshots/{snapshot.number:08d}.json", snapshot.to_json()):
+            if self.log.create(snapshot):
                 return snapshot
         raise CommitConflictError(
             f"lost {_ATTEMPTS} races for the next snapshot: commit again later"
         )
 
     def tag(self, name: str, snapshot: int | Snapshot) -> None:
-        """Name a snapshot for good.
+        """Name a snapshot for good; `gc` keeps what has a name.
 
         Raises
         ------
@@ -321,44 +330,51 @@ class LakeStore:
         NameNotFoundError
             If there is no such snapshot.
         """
-        if _checked_name(name, "tag").isdigit():
+        if checked_name(name, "tag").isdigit():
             raise UsageError(f"a tag must not be a number, got {name!r}: numbers name snapshots")
         number = snapshot.number if isinstance(snapshot, Snapshot) else snapshot
         self.snapshot(number)
-        data = (json.dumps({"name": name, "snapshot": number}, sort_keys=True) + "\n").encode()
-        if not self._storage.create(f"tags/{name}.json", data) and self.tags()[name] != number:
-            raise UsageError(
-                f"tag {name} names snapshot {self.tags()[name]} for good: use a new name"
-            )
+        self.log.tag(name, number)
 
     def tags(self) -> dict[str, int]:
         """Return the snapshot number of every tag, sorted by name."""
-        names = [n for n in self._storage.names("tags") if n.endswith(".json")]
-        return {
-            n.removesuffix(".json"): int(json.loads(self._storage.read(f"tags/{n}"))["snapshot"])
-            for n in names
-        }
+        return self.log.tags()
 
-    def verify(self, snapshot: Snapshot) -> list[FileProblem]:
-        """Compare size and hash of every file of `snapshot` with what it says."""
-        found = (compare(self.root, entry) for entry in snapshot.files)
-        return [problem for problem in found if problem is not None]
+    def verify(
+        self, snapshot: Snapshot, progress: Callable[[FileEntry], None] | None = None
+    ) -> list[FileProblem]:
+        """Compare size and hash of every file of `snapshot` with what it says.
+
+        Parameters
+        ----------
+        snapshot : Snapshot
+            One of this lake.
+        progress : callable, optional
+            Called with each file that was read.
+        """
+        problems: list[FileProblem] = []
+        with ThreadPoolExecutor() as pool:  # hashing leaves the interpreter to others
+            checked = pool.map(lambda entry: compare(self.storage, entry), snapshot.files)
+            for entry, problem in zip(snapshot.files, checked, strict=True):
+                if problem is not None:
+                    problems.append(problem)
+                if progress is not None:
+                    progress(entry)
+        return problems
 
 
-def _checked_name(name: str, what: str) -> str:
-    if not _NAME.fullmatch(name) or len(name) > 200:
-        raise UsageError(
-            f"a {what} is named by letters, digits, '.', '_' and '-', at most 200, got {name!r}"
-        )
-    return name
-
-
-def _check_files(files: Sequence[FileEntry], kept: Sequence[FileEntry], gone: set[str]) -> None:
-    if gone:
+def _check_replaced(replaced: set[str], old: Sequence[FileEntry]) -> None:
+    if gone := replaced - {entry.path for entry in old}:
         raise CommitConflictError(
             f"{min(gone)} is not in the newest snapshot (replaced since?): read it again"
         )
-    paths = [entry.path for entry in (*kept, *files)]
-    if len(set(paths)) < len(paths):
-        twice = next(path for path in paths if paths.count(path) > 1)
-        raise CommitConflictError(f"{twice} is in the lake already: files are written once")
+
+
+def _check_new(files: Sequence[FileEntry], kept: Sequence[FileEntry]) -> None:
+    there = {entry[:2] for entry in kept}  # table and shard, which make the path
+    for entry in files:
+        if entry[:2] in there:
+            raise CommitConflictError(
+                f"{entry.path} is in the lake already: files are written once"
+            )
+        there.add(entry[:2])

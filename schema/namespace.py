@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "VANISHING",
     "Array",
     "Bools",
     "Floats",
@@ -25,10 +26,17 @@ __all__ = [
     "length",
     "namespace",
     "slices",
+    "vanishing",
 ]
 
 Array: TypeAlias = Any
 """A numpy array or torch tensor: what kernels take and return."""
+
+VANISHING: Final = 1e-9
+"""Share of its usual size at and below which rounding decides a number, in float64."""
+
+_VANISHING_SINGLE: Final = 1e-5  # the same in float32
+_SINGLE: Final = 1e-10  # no type of less than double precision has a smaller epsilon
 
 Floats: TypeAlias = NDArray[np.float64]
 Ints: TypeAlias = NDArray[np.int64]
@@ -41,12 +49,15 @@ def namespace(array: Array) -> Any:
 
 
 def dot(a: Array, b: Array) -> Array:
-    """Return the dot products ``(n,)`` of two ``(3, n)``."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    """Return the dot products ``(n,)`` of two ``(dim, n)``."""
+    total = a[0] * b[0]
+    for i in range(1, len(a)):
+        total = total + a[i] * b[i]
+    return total
 
 
 def length(a: Array) -> Array:
-    """Return the lengths ``(n,)`` of ``(3, n)``."""
+    """Return the lengths ``(n,)`` of ``(dim, n)``."""
     return namespace(a).sqrt(dot(a, a))
 
 
@@ -62,10 +73,15 @@ def cross(a: Array, b: Array) -> Array:
 
 
 def gather(array: Array, index: Array) -> Array:
-    """Return ``array[..., index]``; numpy's ``take`` does it four times as fast."""
+    """Return ``array[..., index]``, several times as fast."""
     if isinstance(array, np.ndarray):
         return np.take(array, index, axis=-1)
-    return array[..., index]
+    return array.index_select(-1, index.reshape(-1)).reshape(*array.shape[:-1], *index.shape)
+
+
+def vanishing(array: Array) -> float:
+    """Return the share of its usual size at which rounding decides a number of that type."""
+    return VANISHING if namespace(array).finfo(array.dtype).eps < _SINGLE else _VANISHING_SINGLE
 
 
 def slices(count: int, size: int) -> Iterator[slice]:

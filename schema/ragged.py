@@ -10,9 +10,21 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from breplake.errors import UsageError
+from breplake.schema.contract import VEC2, VEC3
 from breplake.schema.namespace import Bools, Floats, Ints
 
-__all__ = ["Ragged", "codes", "flags", "grids", "integers", "lists", "scalars", "struct", "vectors"]
+__all__ = [
+    "Ragged",
+    "codes",
+    "flags",
+    "grids",
+    "identifiers",
+    "integers",
+    "lists",
+    "scalars",
+    "struct",
+    "vectors",
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +34,7 @@ class Ragged:
     Attributes
     ----------
     values : numpy.ndarray
-        ``(total,)`` or ``(3, total)`` float64.
+        ``(total,)`` or ``(dim, total)`` float64.
     length : numpy.ndarray
         ``(n,)`` int64, number of values of each row.
     """
@@ -60,11 +72,8 @@ def _lengths(array: pa.Array) -> Ints:
 
 
 def _points(array: pa.Array) -> Floats:
-    """Turn an array of x, y, z structs into ``(3, n)``, NaN for null."""
+    """Turn an array of x, y, z (or u, v) structs into ``(dim, n)``, NaN for null."""
     return np.stack([_numbers(leaf) for leaf in array.flatten()])
-
-
-_VEC3 = pa.struct([(axis, pa.float64()) for axis in "xyz"])
 
 
 def codes(table: pa.Table, name: str, names: Sequence[str]) -> Ints:
@@ -92,15 +101,21 @@ def integers(table: pa.Table, name: str) -> Ints:
     return np.nan_to_num(scalars(table, name)).astype(np.int64)
 
 
+def identifiers(table: pa.Table, name: str) -> Ints:
+    """Return a column of ids, ``(n,)`` int64 to the last of their 63 bits; -1 for null."""
+    values = pc.fill_null(_column(table, name, pa.int64()).cast(pa.int64()), -1)
+    return np.asarray(values.to_numpy(zero_copy_only=False), dtype=np.int64)
+
+
 def flags(table: pa.Table, name: str) -> Bools:
     """Return a column of booleans, ``(n,)``, False for null."""
     values = pc.fill_null(_column(table, name, pa.bool_()), False)
     return np.asarray(values.to_numpy(zero_copy_only=False), dtype=bool)
 
 
-def vectors(table: pa.Table, name: str) -> Floats:
-    """Return a column of x, y, z structs as ``(3, n)`` float64, NaN for null."""
-    return _points(_column(table, name, _VEC3))
+def vectors(table: pa.Table, name: str, dim: int = 3) -> Floats:
+    """Return a column of x, y, z (or u, v) structs as ``(dim, n)`` float64, NaN for null."""
+    return _points(_column(table, name, VEC3 if dim == 3 else VEC2))
 
 
 def struct(table: pa.Table, name: str) -> pa.Table:

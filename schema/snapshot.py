@@ -1,29 +1,40 @@
-"""A snapshot: the exact files of a lake after one commit, as an immutable document."""
+"""A snapshot: the exact files of a lake after one commit, as an immutable document.
+
+The document is JSON, compact because a lake of a million models has 30,000 files, and laid out
+in lines: first what the commit says of itself, then one line for each shard, so that
+``head -1``, ``grep`` and ``diff`` are of use::
+
+    {"snapshot":{"number":42,"parent":41,"message":"...",...,"models":2,"files":11,"bytes":81520},
+    "columns":["rows","bytes","sha256","min_model_id","max_model_id"],
+    "shards":{
+    "4a5b":{"arrays":[16,9120,"0f3c...",17,29],"models":[2,5120,"77ab...",17,29],...}
+    }}
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from functools import cached_property
+from typing import Any, Final, NamedTuple
 
 from breplake.errors import LakeFormatError
 from breplake.schema.tables import SCHEMA_VERSION
 
-__all__ = ["ARRAYS_TABLE", "FileEntry", "Snapshot"]
+__all__ = ["ARRAYS_TABLE", "FileEntry", "Header", "Snapshot", "read_header"]
 
-ARRAYS_TABLE = "arrays"
+ARRAYS_TABLE: Final = "arrays"
 """Value of `FileEntry.table` for a folder of arrays."""
 
+_COLUMNS: Final = ["rows", "bytes", "sha256", "min_model_id", "max_model_id"]
 
-@dataclass(frozen=True, slots=True, order=True)
-class FileEntry:
+
+class FileEntry(NamedTuple):
     """A write-once file (or folder of arrays) that a snapshot names.
 
     Parameters
     ----------
-    path : str
-        Relative POSIX path: ``tables/<table>/<shard>.parquet`` or ``arrays/<shard>.zarr``.
     table : str
         Name of the table, or ``arrays``.
     shard : str
@@ -38,7 +49,6 @@ class FileEntry:
         Range of the models in it; None if it has no rows.
     """
 
-    path: str
     table: str
     shard: str
     rows: int
@@ -47,8 +57,39 @@ class FileEntry:
     min_model_id: int | None
     max_model_id: int | None
 
+    @property
+    def path(self) -> str:
+        """Relative POSIX path: ``tables/<table>/<shard>.parquet`` or ``arrays/<shard>.zarr``."""
+        if self.table == ARRAYS_TABLE:
+            return f"arrays/{self.shard}.zarr"
+        return f"tables/{self.table}/{self.shard}.parquet"
+
 
 @dataclass(frozen=True, slots=True)
+class Header:
+    """What a snapshot says of itself, without its list of files.
+
+    Parameters
+    ----------
+    number, parent, message, time, schema_version, tools, config_hash
+        As in `Snapshot`.
+    models, files, bytes : int
+        Rows of ``models``, number of files (a folder of arrays is one), size of all files.
+    """
+
+    number: int
+    parent: int | None
+    message: str
+    time: str
+    schema_version: int
+    tools: Mapping[str, str]
+    config_hash: str
+    models: int
+    files: int
+    bytes: int
+
+
+@dataclass(frozen=True)
 class Snapshot:
     """The state of a lake after one commit.
 
@@ -69,7 +110,7 @@ class Snapshot:
     config_hash : str
         Hash of the settings that decide the content.
     files : tuple of FileEntry
-        All files of the snapshot, sorted by path.
+        All files of the snapshot, sorted.
     """
 
     number: int
@@ -81,21 +122,43 @@ class Snapshot:
     config_hash: str
     files: tuple[FileEntry, ...] = field(repr=False)
 
+    @cached_property
+    def _by_table(self) -> dict[str, dict[str, FileEntry]]:
+        """The files by table and shard; both are looked up for every shard that is read."""
+        found: dict[str, dict[str, FileEntry]] = {}
+        for entry in self.files:
+            found.setdefault(entry.table, {})[entry.shard] = entry
+        return found
+
     def table_files(self, name: str) -> list[FileEntry]:
-        """Return the files of the table `name` (or of ``arrays``), sorted by path."""
-        return [entry for entry in self.files if entry.table == name]
+        """Return the files of the table `name` (or of ``arrays``), sorted by shard."""
+        return list(self._by_table.get(name, {}).values())
 
     def file(self, table: str, shard: str) -> FileEntry | None:
         """Return the file of `table` in `shard`, if there is one."""
-        for entry in self.files:
-            if entry.shard == shard and entry.table == table:
-                return entry
-        return None
+        return self._by_table.get(table, {}).get(shard)
+
+    @property
+    def header(self) -> Header:
+        """What the snapshot says of itself, with totals."""
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        del values["files"]
+        return Header(
+            **values,
+            models=sum(entry.rows for entry in self.table_files("models")),
+            files=len(self.files),
+            bytes=sum(entry.bytes for entry in self.files),
+        )
 
     def to_json(self) -> bytes:
-        """Return the document: stable, sorted, fit for ``diff``."""
-        document = asdict(self) | {"tools": dict(self.tools)}
-        return (json.dumps(document, indent=1, sort_keys=True, ensure_ascii=False) + "\n").encode()
+        """Return the document: stable, sorted, one line for each shard."""
+        shards: dict[str, dict[str, Sequence[object]]] = {}
+        for entry in self.files:
+            shards.setdefault(entry.shard, {})[entry.table] = entry[2:]
+        header = asdict(self.header) | {"tools": dict(sorted(self.tools.items()))}
+        lines = ",\n".join(f"{_compact(name)}:{_compact(shards[name])}" for name in sorted(shards))
+        head = f'{{"snapshot":{_compact(header)},\n"columns":{_compact(_COLUMNS)},\n"shards":{{'
+        return f"{head}\n{lines}\n}}}}\n".encode()
 
     @classmethod
     def from_json(cls, data: bytes, source: str) -> Snapshot:
@@ -115,15 +178,53 @@ class Snapshot:
         """
         try:
             document: dict[str, Any] = json.loads(data)
-            version = int(document["schema_version"])
+            header: dict[str, Any] = document["snapshot"]
+            version = int(header["schema_version"])
             if version > SCHEMA_VERSION:
                 raise LakeFormatError(
                     f"{source} has schema version {version}, this breplake reads up to "
                     f"{SCHEMA_VERSION}: upgrade with pip install -U breplake"
                 )
-            files = tuple(sorted(FileEntry(**entry) for entry in document["files"]))
-            return cls(**(document | {"files": files}))
+            if document["columns"] != _COLUMNS:
+                raise ValueError(f"columns {document['columns']}")
+            files = [
+                FileEntry(table, shard, *values)
+                for shard, tables in document["shards"].items()
+                for table, values in tables.items()
+            ]
+            totals = {name: header.pop(name) for name in ("models", "files", "bytes")}
+            snapshot = cls(**header, files=tuple(sorted(files)))
         except (KeyError, TypeError, ValueError) as error:
             if isinstance(error, LakeFormatError):
                 raise
             raise LakeFormatError(f"{source} is not a snapshot: {error!r}") from error
+        if totals["files"] != len(files):
+            raise LakeFormatError(f"{source} names {len(files)} files instead of {totals['files']}")
+        return snapshot
+
+
+def read_header(first_line: bytes, source: str) -> Header:
+    """Read the first line of a snapshot's document.
+
+    Parameters
+    ----------
+    first_line : bytes
+        Of what `Snapshot.to_json` wrote.
+    source : str
+        Where it is from, for messages.
+
+    Raises
+    ------
+    LakeFormatError
+        If it is not that of a snapshot.
+    """
+    try:
+        # the line ends with the comma before the next member
+        document = json.loads(first_line.rstrip().removesuffix(b",") + b"}")
+        return Header(**document["snapshot"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise LakeFormatError(f"{source} is not a snapshot: {error!r}") from error
+
+
+def _compact(value: object) -> str:
+    return json.dumps(value, separators=(",", ":"), ensure_ascii=False)

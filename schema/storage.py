@@ -1,4 +1,4 @@
-"""Storage of a lake's small documents and hashes of its files.
+"""Where a lake is: a local folder, object storage, or a folder served over HTTP.
 
 Documents are created through obstore with put-if-absent, which is atomic on a local disk
 (a staged file, then a hard link) as on S3, GCS and Azure: either the whole document is
@@ -8,15 +8,60 @@ there under its name or nothing is.
 from __future__ import annotations
 
 import hashlib
+import os
+import re
+import shutil
+from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import obstore
-from obstore.exceptions import AlreadyExistsError
-from obstore.store import LocalStore
+from obstore.exceptions import AlreadyExistsError, BaseError
+from obstore.store import HTTPStore, LocalStore, from_url
 
 from breplake.errors import LakeNotFoundError, UsageError
 
-__all__ = ["Storage", "file_hash", "folder_files", "folder_hash"]
+if TYPE_CHECKING:
+    from obstore.store import ClientConfig
+
+__all__ = [
+    "PART",
+    "Storage",
+    "StoredFile",
+    "file_hash",
+    "folder_files",
+    "folder_hash",
+    "folder_list",
+    "is_staged",
+    "local_folder",
+]
+
+PART: Final = ".part"
+"""Ending of the name of a file that is being copied."""
+
+_STAGED: Final = re.compile(rf"(#\d+|{re.escape(PART)})$")  # obstore's local files end in #1
+
+_BLOCK: Final = 1 << 20
+"""Bytes that are read at once."""
+
+
+class StoredFile(NamedTuple):
+    """A file of a storage.
+
+    Parameters
+    ----------
+    path : str
+        Relative POSIX path.
+    bytes : int
+        Size.
+    modified : float
+        Time of the last change, in seconds since 1970.
+    """
+
+    path: str
+    bytes: int
+    modified: float
 
 
 class Storage:
@@ -24,20 +69,64 @@ class Storage:
 
     Parameters
     ----------
-    root : pathlib.Path
-        An existing folder.
+    place : path or str
+        An existing local folder, or a URL: ``file://``, ``s3://``, ``gs://``, ``az://``,
+        ``http://`` or ``https://``. Credentials are those of the environment
+        (``AWS_ACCESS_KEY_ID`` and so on).
 
     Raises
     ------
     LakeNotFoundError
-        If there is no such folder.
+        If there is no such local folder.
+    UsageError
+        If the URL is of no known kind.
+
+    Attributes
+    ----------
+    can_list : bool
+        Whether names can be listed. A plain HTTP server tells only what one asks for by name.
     """
 
-    def __init__(self, root: Path) -> None:
-        if not root.is_dir():
-            raise LakeNotFoundError(f"there is no folder {root}")
-        self.root = root.resolve()
-        self._store = LocalStore(self.root)
+    def __init__(self, place: str | Path) -> None:
+        self._place = str(place)
+        self._local = local_folder(place)
+        if self._local is None:
+            try:
+                self._store: Any = from_url(self._place, client_options=_client(self._place))
+            except (BaseError, ValueError) as error:
+                raise UsageError(f"cannot open {self._place}: {error}") from error
+        elif not self._local.is_dir():
+            raise LakeNotFoundError(f"there is no folder {self._local}")
+        else:
+            self._local = self._local.resolve()
+            self._store = LocalStore(self._local)
+        self.can_list = not isinstance(self._store, HTTPStore)
+
+    @property
+    def is_local(self) -> bool:
+        """Whether it is a local folder."""
+        return self._local is not None
+
+    @property
+    def name(self) -> str:
+        """The folder's path or URL, for messages."""
+        return self._place if self._local is None else str(self._local)
+
+    @property
+    def root(self) -> Path:
+        """Absolute path of the local folder.
+
+        Raises
+        ------
+        UsageError
+            If it is not local.
+        """
+        if self._local is None:
+            raise UsageError(
+                f"{self._place} is not a local folder: copy it to one with "
+                f"breplake pull {self._place} --lake FOLDER"
+            )
+        return self._local
 
     def create(self, path: str, data: bytes) -> bool:
         """Create the document `path` whole, unless it exists.
@@ -53,6 +142,10 @@ class Storage:
             return False
         return True
 
+    def overwrite(self, path: str, data: bytes) -> None:
+        """Write the document `path`, in place of one that is there."""
+        obstore.put(self._store, path, data, mode="overwrite")
+
     def read(self, path: str) -> bytes:
         """Return the document `path`.
 
@@ -63,18 +156,106 @@ class Storage:
         """
         return bytes(obstore.get(self._store, path).bytes())
 
+    def read_line(self, path: str) -> bytes:
+        """Return the first line of the document `path`, without reading all of it."""
+        line = b""
+        for block in obstore.get(self._store, path).stream(min_chunk_size=_BLOCK >> 6):
+            head, end, _ = bytes(block).partition(b"\n")
+            line += head
+            if end:
+                break
+        return line
+
+    def has(self, path: str) -> bool:
+        """Return whether there is a file `path`."""
+        return self.size(path) is not None
+
+    def size(self, path: str) -> int | None:
+        """Return the size of the file `path` in bytes, or None if there is none."""
+        try:
+            return int(obstore.head(self._store, path)["size"])
+        except FileNotFoundError:
+            return None
+
     def names(self, folder: str) -> list[str]:
         """Return the sorted names of the documents right in `folder`, staged ones left out."""
         found = obstore.list_with_delimiter(self._store, folder)["objects"]
         return sorted(PurePosixPath(item["path"]).name for item in found)
 
+    def files(self, folder: str) -> Iterator[StoredFile]:
+        """Yield all files below `folder`, also those that a killed writer left half-written."""
+        if self._local is not None:
+            for name in folder_files(self._local / folder):
+                state = (self._local / folder / name).stat()
+                yield StoredFile(f"{folder}/{name}", state.st_size, state.st_mtime)
+            return
+        for batch in obstore.list(self._store, folder):
+            for item in batch:
+                modified: datetime = item["last_modified"]
+                yield StoredFile(item["path"], item["size"], modified.timestamp())
+
+    def folders(self, folder: str) -> Iterator[StoredFile]:
+        """Yield the folders right in `folder`, of no size; object storage has none."""
+        if self._local is None or not (self._local / folder).is_dir():
+            return
+        for item in os.scandir(self._local / folder):
+            if item.is_dir(follow_symlinks=False):
+                yield StoredFile(f"{folder}/{item.name}", 0, item.stat().st_mtime)
+
+    def remove(self, path: str) -> None:
+        """Remove a file, or a local folder with all that is in it; it may be gone already."""
+        if self._local is None:
+            obstore.delete(self._store, path)
+            return
+        target = self.path(path)
+        if target.is_dir() and not target.is_symlink():
+            shutil.rmtree(target)
+        else:
+            target.unlink(missing_ok=True)
+
+    def stream(self, path: str) -> Iterator[bytes]:
+        """Yield the bytes of the file `path` in blocks.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is none.
+        """
+        for block in obstore.get(self._store, path).stream(min_chunk_size=_BLOCK):
+            yield bytes(block)
+
+    def hash(self, path: str) -> str:
+        """Return the SHA-256 of the file `path`, hexadecimal.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is none.
+        """
+        if self._local is not None:
+            return file_hash(self.path(path))
+        digest = hashlib.sha256()
+        for block in self.stream(path):
+            digest.update(block)
+        return digest.hexdigest()
+
+    def open(self, path: str) -> Any:
+        """Return the file `path` for random reads: a path where it is local, else a stream."""
+        return (
+            self.path(path) if self._local is not None else obstore.open_reader(self._store, path)
+        )
+
+    def upload(self, source: Path, path: str) -> None:
+        """Copy a local file to `path`; it appears there whole."""
+        obstore.put(self._store, path, source, mode="overwrite")
+
     def path(self, relative: str) -> Path:
-        """Return the absolute path of `relative`.
+        """Return the absolute path of `relative` in a local folder.
 
         Raises
         ------
         UsageError
-            If it leads out of the lake.
+            If it leads out of the lake, or the lake is not local.
         """
         parts = PurePosixPath(relative).parts
         if not parts or parts[0] == "/" or ".." in parts:
@@ -96,6 +277,28 @@ class Storage:
         return absolute.relative_to(self.root).as_posix()
 
 
+def local_folder(place: str | Path) -> Path | None:
+    """Return the path of a local place, or None for one that is reached over a network."""
+    text = str(place)
+    if isinstance(place, Path) or "://" not in text:
+        return Path(place)
+    if text.startswith("file://"):
+        from urllib.parse import unquote, urlsplit
+
+        return Path(unquote(urlsplit(text).path))
+    return None
+
+
+def _client(url: str) -> ClientConfig | None:
+    """Return options of the client, else those of the environment, as ``AWS_ALLOW_HTTP``."""
+    return {"allow_http": True} if url.startswith("http://") else None
+
+
+def is_staged(path: str) -> bool:
+    """Return whether a file is one in the making, which gets its true name when it is whole."""
+    return bool(_STAGED.search(path))
+
+
 def file_hash(path: Path) -> str:
     """Return the SHA-256 of a file's bytes, hexadecimal."""
     with path.open("rb") as stream:
@@ -104,13 +307,18 @@ def file_hash(path: Path) -> str:
 
 def folder_files(path: Path) -> list[str]:
     """Return the files below the folder `path`, as sorted relative POSIX paths."""
-    return sorted(p.relative_to(path).as_posix() for p in path.rglob("*") if p.is_file())
+    found = (Path(top, name) for top, _, names in os.walk(path) for name in names)
+    return sorted(file.relative_to(path).as_posix() for file in found)
+
+
+def folder_list(path: Path) -> str:
+    """Return the lines ``<sha256>  <relative name>`` of a folder's sorted files.
+
+    The text is what ``sha256sum`` prints and ``sha256sum --check`` reads.
+    """
+    return "".join(f"{file_hash(path / name)}  {name}\n" for name in folder_files(path))
 
 
 def folder_hash(path: Path) -> str:
-    """Return the SHA-256 of a folder: over its sorted lines ``<sha256>  <relative name>``.
-
-    The text is what ``sha256sum`` prints for the sorted files, so it can be checked by hand.
-    """
-    lines = (f"{file_hash(path / name)}  {name}\n" for name in folder_files(path))
-    return hashlib.sha256("".join(lines).encode()).hexdigest()
+    """Return the SHA-256 of a folder: that of its `folder_list`."""
+    return hashlib.sha256(folder_list(path).encode()).hexdigest()

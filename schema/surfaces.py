@@ -2,32 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from dataclasses import dataclass, replace
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike
 
-from breplake.schema import ragged
-from breplake.schema.curves import CurveSet, query
-from breplake.schema.elementary import ELEMENTARY, extruded, revolved, sphere_normal
-from breplake.schema.jets import SurfaceJet
-from breplake.schema.namespace import Array, Bools, Floats, Ints, batches, gather
+from breplake.errors import UsageError
+from breplake.schema.curves import CurveSet
+from breplake.schema.elementary import ELEMENTARY, extruded, revolved, sphere_curvature
+from breplake.schema.grouping import grouped, query, selected
+from breplake.schema.jets import SurfaceJet, SurfacePoints, times_known
+from breplake.schema.namespace import Array, Floats, Ints, gather, namespace, vanishing
+from breplake.schema.offsets import offset_surface
+from breplake.schema.parameters import with_parameters
 from breplake.schema.projection import project_points
-from breplake.schema.splines import MAX_DEGREE, Knots, SplineSurfaces
-from breplake.schema.types import SURFACE_TYPES
+from breplake.schema.splines import SplineSurfaces
+from breplake.schema.surface_parameters import SurfaceKind, SurfaceParameters
+from breplake.schema.surface_points import surface_points
+from breplake.schema.transfer import transferred
 
-__all__ = ["SurfaceSet"]
+__all__ = ["SurfaceKind", "SurfaceSet"]
 
-_BATCH = 16_384  # points whose temporaries stay in the cache
-_SPLINE_BATCH = 4_096  # the same, a spline's point having many poles
-_VANISHING = 1e-9  # of the usual length of a derivative: shorter than this is zero
-_PLACES: Final = {name: place for place, name in enumerate(SURFACE_TYPES)}
-_SPLINE = _PLACES["BSpline"]
-_SWEPT = (_PLACES["Revolution"], _PLACES["Extrusion"])
-_KINDS = 16  # groups are kind + 16 * (group of the basis curve, or degrees of the spline)
-_DEGREES = MAX_DEGREE + 1
+_BATCH: Final = 8_192  # points whose temporaries stay in the cache
+_SPLINE_BATCH: Final = 16_384  # points times poles in u, the same
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,23 +38,28 @@ class SurfaceSet:
 
     Attributes
     ----------
-    known : numpy.ndarray
+    known : array
         ``(n_rows,)`` bool: the row has a type that can be evaluated, with its parameters.
-    least : numpy.ndarray
+    least : array
         ``(2, n_rows)`` lengths of du and dv at and below which rounding decides them.
-    group : numpy.ndarray
-        ``(n_rows,)`` rows of one group are evaluated together; negative if unknown.
-    axes, size, curves, splines
+    kinds : tuple of SurfaceKind
+        All kinds of surfaces of the table.
+    group : array
+        ``(n_rows,)`` place in `kinds`; negative if unknown.
+    axes, size, side, curves, splines, offset
         Parameters of the surfaces.
     """
 
-    known: Bools
-    least: Floats
-    group: Ints
-    axes: Floats  # (12, n_rows) location, x, y and z axis
-    size: Floats  # (3, n_rows)
+    known: Array
+    least: Array
+    kinds: tuple[SurfaceKind, ...]
+    group: Array
+    axes: Array  # (12, n_rows) location, x, y and z axis
+    size: Array  # (3, n_rows)
+    side: Array  # (n_rows,) 1 for right-handed axes, -1 for left-handed ones
     curves: CurveSet
     splines: SplineSurfaces
+    offset: Array  # (n_rows,) mm along du x dv
 
     @staticmethod
     def from_patches(table: pa.Table) -> SurfaceSet:
@@ -68,28 +72,123 @@ class SurfaceSet:
         UsageError
             If the table has no column ``type``.
         """
-        kind = ragged.codes(table, "type", SURFACE_TYPES)
-        axes, size = _axes(table, kind), _sizes(table, kind)
-        curves = CurveSet.from_curves(ragged.struct(table, "curve"))
-        splines = _splines(table)
-        swept, spline = np.isin(kind, _SWEPT), kind == _SPLINE
-        known = (kind >= 0) & (kind < _PLACES["Other"])
-        known &= np.isfinite(axes).all(axis=0) | spline
-        known &= np.isfinite(size).all(axis=0)
-        known &= (curves.known | ~swept) & (splines.valid | ~spline)
-        degrees = splines.u_knots.degree * _DEGREES + splines.v_knots.degree
-        inner = np.select([swept, spline], [curves.group, 2 * degrees + splines.rational], 0)
+        read = SurfaceParameters.read(table)
+        known = read.complete
+        kinds, group = read.kinds(known)
         return SurfaceSet(
             known=known,
-            least=np.where(known, _least(kind, axes, size, curves, splines), 0.0),
-            group=np.where(known, kind + _KINDS * inner, -1),
-            axes=axes,
-            size=size,
-            curves=curves,
-            splines=splines,
+            least=np.where(known, read.least, 0.0),
+            kinds=kinds,
+            group=group,
+            axes=read.axes,
+            size=read.size,
+            side=np.where(read.mirrored, -1.0, 1.0),
+            curves=read.curves,
+            splines=read.splines,
+            offset=read.offset,
         )
 
-    def evaluate(self, row: ArrayLike, u: ArrayLike, v: ArrayLike) -> SurfaceJet:
+    def to(self, like: Any = None, *, device: Any = None, dtype: Any = None) -> SurfaceSet:
+        """Return these surfaces as tensors of torch.
+
+        They are then evaluated by torch, on the device where they are, and results are
+        differentiable by u and v. float32 halves memory and time; see ``docs/evaluate.md``
+        for what it costs in accuracy.
+
+        Parameters
+        ----------
+        like : torch.Tensor, optional
+            Its device and type count where the others are not given.
+        device : torch.device or str, optional
+            By default the device of the arrays: the CPU if they are numpy's.
+        dtype : torch.dtype, optional
+            ``torch.float64`` or ``torch.float32``; by default that of the arrays.
+
+        Examples
+        --------
+        >>> import torch
+        >>> gpu = surfaces.to(device="cuda", dtype=torch.float32)  # doctest: +SKIP
+        >>> gpu.points(row, u, v).normal  # doctest: +SKIP
+        """
+        moved = transferred(self, like, device=device, dtype=dtype)
+        return replace(moved, least=moved.least * (vanishing(moved.least) / vanishing(self.least)))
+
+    def parameters(self) -> dict[str, Array]:
+        """Return what the surfaces are made of, as `with_parameters` takes it.
+
+        Returns
+        -------
+        dict
+            ``axes`` ``(12, n_rows)`` location, x, y and z axis, of an extrusion its direction
+            last; ``size`` ``(3, n_rows)`` radius, or radius, sine and cosine of the half angle
+            of a cone, or major and minor radius of a torus; ``offset`` ``(n_rows,)``;
+            ``poles`` ``(3, n_poles)`` and ``weights`` ``(n_poles,)`` of all splines, end to
+            end, v running fastest: those of row r are where ``splines.poles.owner`` is r.
+            Those of the curves that are swept are called ``curve_frame`` and so on; see
+            ``CurveSet.parameters``. Lengths are in mm.
+        """
+        poles = self.splines.poles
+        own = {name: getattr(self, name) for name in ("axes", "size", "offset")}
+        swept = {f"curve_{name}": part for name, part in self.curves.parameters().items()}
+        return {**own, "poles": poles.points, "weights": poles.buffer[-1], **swept}
+
+    def with_parameters(self, **changed: Array) -> SurfaceSet:
+        """Return the same surfaces with other parameters.
+
+        What is evaluated is differentiable by tensors given here: so poles, radii and places
+        can be optimised. Types, degrees and knots stay, and so does which rows are rational.
+        Axes are taken to be as orthonormal as they were.
+
+        Parameters
+        ----------
+        **changed : array
+            By names of `parameters`, of the same shape as there.
+
+        Raises
+        ------
+        UsageError
+            If a name is no parameter, or the shape of one changes.
+
+        Examples
+        --------
+        >>> poles = surfaces.parameters()["poles"].requires_grad_()  # doctest: +SKIP
+        >>> point = surfaces.with_parameters(poles=poles).points(row, u, v).point  # doctest: +SKIP
+        >>> ((point - target) ** 2).sum().backward()  # doctest: +SKIP
+        """
+        curves = {name: part for name, part in changed.items() if name.startswith("curve_")}
+        own = {name: part for name, part in changed.items() if name not in curves}
+        swept = {name.removeprefix("curve_"): part for name, part in curves.items()}
+        return replace(with_parameters(self, own), curves=with_parameters(self.curves, swept))
+
+    def points(self, row: Any, u: Any, v: Any) -> SurfacePoints:
+        """Evaluate surfaces with their normals and principal curvatures.
+
+        It is several times as fast as `evaluate`, which returns the derivatives and from
+        these the principal directions as well.
+
+        Parameters
+        ----------
+        row : array_like
+            ``(n,)`` row of the table, or one row for all. It is fastest where the points of
+            a row follow each other.
+        u, v : array_like
+            ``(n,)`` parameters on that surface.
+
+        Returns
+        -------
+        SurfacePoints
+            NaN for rows that are not `known`.
+
+        Raises
+        ------
+        UsageError
+            If a row is outside the table or the shapes do not match.
+        """
+        rows, (us, vs) = query(len(self.known), self.size, row, u, v)
+        out = surface_points(self, rows, us, vs, self._batches)
+        return SurfacePoints(out[0:3].T, out[3:6].T, out[6], out[7])
+
+    def evaluate(self, row: Any, u: Any, v: Any) -> SurfaceJet:
         """Evaluate surfaces with their first and second derivatives.
 
         Parameters
@@ -110,45 +209,55 @@ class SurfaceSet:
         UsageError
             If a row is outside the table or the shapes do not match.
         """
-        rows, (us, vs) = query(len(self.known), row, u, v)
-        groups = self.group[rows]
-        out = np.empty((6, 3, len(rows)))
-        out[:, :, groups < 0] = np.nan
-        radial = umbilic = None
-        if bool((groups == _PLACES["Sphere"]).any()):
-            radial, umbilic = np.full((3, len(rows)), np.nan), np.full(len(rows), np.nan)
-        for group, index in batches(groups, self._batch(groups)):
-            some, su, sv = rows[index], us[index], vs[index]
-            for part, values in zip(out, self.jet(group, some, su, sv), strict=True):
-                part[:, index] = values
-            if radial is not None and umbilic is not None and group == _PLACES["Sphere"]:
-                axes, size = gather(self.axes, some), gather(self.size, some)
-                radial[:, index], umbilic[index] = sphere_normal(axes, size, su, sv)
-        point, du, dv, duu, duv, dvv = (part.T for part in out)
-        return SurfaceJet(
-            point,
-            du,
-            dv,
-            duu,
-            duv,
-            dvv,
-            least=gather(self.least, rows).T,
-            radial=None if radial is None else radial.T,
-            umbilic=umbilic,
-        )
+        rows, (us, vs) = query(len(self.known), self.size, row, u, v)
 
-    def jet(self, group: int, row: Array, u: Array, v: Array) -> tuple[Array, ...]:
+        def work(group: int, index: Any) -> list[Array]:
+            return self.jet(group, selected(rows, index), us[index], vs[index])
+
+        groups = gather(self.group, rows)
+        out = grouped(groups, len(us), self._batches, work, 18, self.size)
+        point, du, dv, duu, duv, dvv = (out[i : i + 3].T for i in range(0, 18, 3))
+        least = namespace(us).broadcast_to(gather(self.least, rows), (2, len(us))).T
+        umbilic = self._sphere_curvature(rows, groups, vs)
+        radial = None if umbilic is None else times_known(umbilic, dvv)
+        return SurfaceJet(point, du, dv, duu, duv, dvv, least, radial, umbilic)
+
+    @property
+    def _batches(self) -> list[int]:
+        """Points of each kind whose temporaries stay in the cache."""
+        return [min(_BATCH, _SPLINE_BATCH // (kind.degrees[0] + 1)) for kind in self.kinds]
+
+    def _sphere_curvature(self, row: Array, group: Array, v: Array) -> Array | None:
+        """Return the curvature of spheres towards du x dv, NaN elsewhere; None without any."""
+        spheres = [i for i, k in enumerate(self.kinds) if k.name == "Sphere" and not k.offset]
+        if not spheres:
+            return None
+        xp, mine = namespace(v), group == spheres[0]
+        for other in spheres[1:]:
+            mine = mine | (group == other)
+        radius = xp.where(mine, gather(self.size, row)[0], 1.0)
+        curvature = sphere_curvature(-gather(self.side, row) / radius, v)
+        return xp.where(mine, curvature, xp.nan)
+
+    def jet(self, group: int, row: Array, u: Array, v: Array, order: int = 2) -> list[Array]:
         """Return point, du, dv, duu, duv, dvv ``(3, n)`` for rows that are all of `group`."""
-        inner, kind = divmod(group, _KINDS)
-        if kind == _SPLINE:
-            degrees, rational = divmod(inner, 2)
-            return self.splines.evaluate(row, u, v, divmod(degrees, _DEGREES), bool(rational))
-        axes, name = gather(self.axes, row), SURFACE_TYPES[kind]
-        if name == "Revolution":
-            return revolved(axes, u, self.curves.jet(inner, row, v))
-        if name == "Extrusion":
-            return extruded(axes, v, self.curves.jet(inner, row, u))
-        return ELEMENTARY[name](axes, gather(self.size, row), u, v)
+        if not self.kinds[group].offset:
+            return self.basis_jet(group, row, u, v, order)
+        basis = self.basis_jet(group, row, u, v, order + 1)
+        return offset_surface(basis, gather(self.offset, row), order)
+
+    def basis_jet(self, group: int, row: Array, u: Array, v: Array, order: int) -> list[Array]:
+        """Return the jet that an offset surface starts from; else the same as `jet`."""
+        kind = self.kinds[group]
+        if kind.name == "BSpline":
+            about = kind.degrees, kind.rational, kind.periodic
+            return self.splines.evaluate(row, u, v, *about, order)
+        axes = gather(self.axes, row)
+        if kind.name == "Revolution":
+            return revolved(axes, u, self.curves.jet(kind.curve, row, v, order), order)
+        if kind.name == "Extrusion":
+            return extruded(axes, v, self.curves.jet(kind.curve, row, u, order), order)
+        return ELEMENTARY[kind.name](axes, gather(self.size, row), u, v, order)
 
     def project(
         self,
@@ -185,22 +294,25 @@ class SurfaceSet:
         UsageError
             If a row is outside the table or the shapes do not match.
         """
-        rows, (us, vs) = query(len(self.known), row, u0, v0)
+        rows, (us, vs) = query(len(self.known), self.size, row, u0, v0)
+        if not isinstance(self.size, np.ndarray):
+            raise UsageError("foot points are found by numpy; ask the surfaces before to(...)")
+        rows = np.broadcast_to(rows, us.shape)
         if bounds is None:
             bounds = self._around(rows, us, vs)
         return project_points(self.evaluate, rows, points, us, vs, bounds)
 
     def _around(self, row: Ints, u: Floats, v: Floats) -> Floats:
         """Return bounds ``(n, 4)`` that keep the search near splines and hold its start."""
-        kind, curve, own = self.group[row] % _KINDS, self.curves.splines, self.splines
-        spline = kind == _SPLINE
-        curved = np.isin(kind, _SWEPT) & curve.valid[row]
+        names = np.array([*(kind.name for kind in self.kinds), ""])[self.group[row]]
+        curve, own = self.curves.splines, self.splines
+        curved = curve.valid[row]
         box = np.tile([-np.inf, np.inf], (2, len(row), 1))  # (u and v, n, least and greatest)
         for side, knots, mine in (
-            (0, own.u_knots, spline),
-            (1, own.v_knots, spline),
-            (0, curve.knots, curved & (kind == _PLACES["Extrusion"])),
-            (1, curve.knots, curved & (kind == _PLACES["Revolution"])),
+            (0, own.u_knots, names == "BSpline"),
+            (1, own.v_knots, names == "BSpline"),
+            (0, curve.knots, curved & (names == "Extrusion")),
+            (1, curve.knots, curved & (names == "Revolution")),
         ):
             mine = mine & ~knots.periodic[row]
             low, high = knots.low[row[mine]], knots.high[row[mine]]
@@ -208,76 +320,3 @@ class SurfaceSet:
             box[side, mine, 0] = np.minimum(2 * low - high, start)
             box[side, mine, 1] = np.maximum(2 * high - low, start)
         return np.concatenate([box[0], box[1]], axis=1)
-
-    @staticmethod
-    def _batch(groups: Ints) -> int:
-        return _SPLINE_BATCH if bool((groups % _KINDS == _SPLINE).any()) else _BATCH
-
-
-def _axes(table: pa.Table, kind: Ints) -> Floats:
-    """Return ``(12, n)``: axes that a type does not have are zero, missing ones NaN."""
-    extrusion = kind == _PLACES["Extrusion"]
-    location, x, y, z = (
-        ragged.vectors(table, name) for name in ("location", "x_axis", "y_axis", "z_axis")
-    )
-    swept = np.isin(kind, _SWEPT)
-    return np.concatenate(
-        [
-            np.where(extrusion, 0.0, location),
-            np.where(swept, 0.0, x),
-            np.where(swept, 0.0, y),
-            np.where(extrusion, ragged.vectors(table, "direction"), z),
-        ]
-    )
-
-
-def _sizes(table: pa.Table, kind: Ints) -> Floats:
-    """Return ``(3, n)`` as `ELEMENTARY` wants them; missing ones NaN."""
-    cone, torus = kind == _PLACES["Cone"], kind == _PLACES["Torus"]
-    round_ = cone | (kind == _PLACES["Cylinder"]) | (kind == _PLACES["Sphere"])
-    angle = ragged.scalars(table, "angle")
-    zero = np.zeros(len(kind))
-    first = np.select(
-        [round_, torus], [ragged.scalars(table, "radius"), ragged.scalars(table, "max_radius")], 0.0
-    )
-    second = np.select([cone, torus], [np.sin(angle), ragged.scalars(table, "min_radius")], 0.0)
-    return np.stack([first, second, np.where(cone, np.cos(angle), zero)])
-
-
-def _splines(table: pa.Table) -> SplineSurfaces:
-    poles, u_count = ragged.grids(table, "poles")
-    weights, _ = ragged.grids(table, "weights")
-    v_count = np.where(u_count > 0, poles.length // np.maximum(u_count, 1), -1)
-    u_knots, v_knots = (
-        Knots.build(
-            ragged.lists(table, f"{side}_knots"),
-            ragged.integers(table, f"{side}_degree"),
-            count,
-            ragged.flags(table, f"{side}_periodic"),
-        )
-        for side, count in (("u", u_count), ("v", v_count))
-    )
-    return SplineSurfaces.build(u_knots, v_knots, poles, weights)
-
-
-def _least(
-    kind: Ints, axes: Floats, size: Floats, curves: CurveSet, splines: SplineSurfaces
-) -> Floats:
-    """Return ``(2, n)``: the lengths below which du and dv count as vanished."""
-    spans = [
-        np.where(splines.valid, knots.high - knots.low, 1.0)
-        for knots in (splines.u_knots, splines.v_knots)
-    ]
-    extent = splines.poles.extent
-    away = np.linalg.norm(curves.frame[0:3] - axes[0:3], axis=0)  # a revolved curve's place
-    revolution, extrusion, spline = (
-        kind == _PLACES[name] for name in ("Revolution", "Extrusion", "BSpline")
-    )
-    choices = [spline, revolution, extrusion]
-    u_least = np.select(
-        choices,
-        [_VANISHING * extent / spans[0], _VANISHING * (away + curves.reach), curves.least],
-        _VANISHING * (size[0] + size[1] * (kind == _PLACES["Torus"])),
-    )
-    v_least = np.select(choices, [_VANISHING * extent / spans[1], curves.least, 0 * extent], 0.0)
-    return np.stack([u_least, v_least])

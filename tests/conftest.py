@@ -103,9 +103,9 @@ def box_curves(identity: int, size: Any) -> tuple[list[dict[str, Any]], list[dic
                     angle_min=np.pi / 2, angle_max=np.pi / 2, convexity="convex", sharp=True,
                 )
             )  # fmt: skip
-            coedges += [
-                spot | dict(patch_id=p, loop=0, place=0, reversed=p == right) for p in (left, right)
-            ]
+            for p in (left, right):
+                place = sum(coedge["patch_id"] == p for coedge in coedges)
+                coedges.append(spot | dict(patch_id=p, loop=0, place=place, reversed=p == right))
     return curves, coedges
 
 

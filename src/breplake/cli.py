@@ -10,11 +10,20 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from breplake.commands.contents import files, info, snapshots, tag
+from breplake.commands.consolidate import consolidate
+from breplake.commands.contents import files, info
+from breplake.commands.duplicates import duplicates
+from breplake.commands.export import export
 from breplake.commands.ingest import ingest
 from breplake.commands.parts import samples
 from breplake.commands.proof import check, show
+from breplake.commands.publish import publish, pull
+from breplake.commands.query import query
+from breplake.commands.rebuild import rebuild
 from breplake.commands.sql import sql
+from breplake.commands.stats import stats
+from breplake.commands.subset import subset
+from breplake.commands.versions import diff, gc, snapshots, tag, verify
 from breplake.errors import BreplakeError
 
 __all__ = ["app", "main"]
@@ -72,8 +81,16 @@ def _options(
     """Build, query and check a data lake of CAD boundary representations."""
 
 
-for command in (samples, ingest, info, sql, files, show, check, snapshots, tag):
+_COMMANDS = (
+    *(samples, ingest, info, sql, query, stats, files, show, check, duplicates),
+    consolidate,
+    *(snapshots, tag, diff, verify, gc, publish, pull, rebuild),
+)
+
+for command in _COMMANDS:
     app.command(command.__name__)(command)
+app.add_typer(export, name="export")
+app.add_typer(subset, name="subset")
 
 
 def main() -> None:

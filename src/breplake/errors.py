@@ -12,6 +12,7 @@
     ├── InputError                 (ValueError) one CAD file: becomes a row of ``failures``
     ├── KernelUnavailableError     (OSError) the CAD kernels cannot be loaded here
     ├── UsageError                 (ValueError) an argument breaks a rule
+    ├── SampleError            (RuntimeError) a loader could not make a sample
     ├── LimitError                 (RuntimeError) something took more than it was allowed
     └── MissingExtraError          (ImportError) an optional dependency is not installed
 
@@ -32,6 +33,7 @@ __all__ = [
     "LimitError",
     "MissingExtraError",
     "NameNotFoundError",
+    "SampleError",
     "StorageError",
     "UsageError",
 ]
@@ -115,6 +117,12 @@ class UsageError(BreplakeError, ValueError):
     """An argument breaks a rule."""
 
     kind = "usage"
+
+
+class SampleError(BreplakeError, RuntimeError):
+    """A loader could not make a sample, or the worker that made it died; names the model."""
+
+    kind = "sample"
 
 
 class LimitError(BreplakeError, RuntimeError):

@@ -12,7 +12,8 @@ pytest.importorskip("OCP")
 from OCP import Geom
 from OCP.gp import gp_Ax2, gp_Ax3, gp_Cone, gp_Cylinder, gp_Dir, gp_Pln, gp_Pnt, gp_Sphere
 
-from breplake.ingest.geometry import curve_row, flat_knots, surface_row
+from breplake.ingest.geometry import curve_row, surface_row
+from breplake.ingest.lossless.knots import flat_knots
 
 PLACE = gp_Ax3(gp_Pnt(1, -2, 3), gp_Dir(1, 2, 2), gp_Dir(2, 1, -2))
 LEFT = gp_Ax3(gp_Pnt(1, -2, 3), gp_Dir(1, 2, 2), gp_Dir(2, 1, -2))

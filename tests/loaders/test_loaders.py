@@ -244,15 +244,15 @@ def test_workers_that_live_on_see_the_epoch(dataset):
 
 def test_points_without_a_normal_are_left_out(own_lake, new_shard, monkeypatch):
     dataset = MeshDataset(own_lake)
-    real = dataset.read
+    real = dataset.index.read
 
     def read(array, index):
         rows = real(array, index)
         if array == "normal":
-            rows[4:] = torch.nan
+            rows[4:] = np.nan
         return rows
 
-    monkeypatch.setattr(dataset, "read", read)
+    monkeypatch.setattr(dataset.index, "read", read)
     assert dataset.points(50)[0].patches.unique().tolist() == [0]
 
 

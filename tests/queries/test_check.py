@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from breplake.queries.check.rules import LAKE_RULES
 from breplake.queries.check.stream import ModelStream, scan_keys
 from breplake.queries.session import Lake
 from breplake.schema.identity import model_id
+from breplake.schema.lake import LakeStore
 from breplake.schema.tables import FAILURES
 
 WriteLake = Callable[..., Path]
@@ -58,11 +60,9 @@ def failure(name: str, *, fatal: bool, collection: str = "hand") -> Callable[[pa
 
 def change_snapshot(path: Path, file: str, **values: Any) -> None:
     """Change what the snapshot says of a file."""
-    snapshot = path / "snapshots/00000001.json"
-    document = json.loads(snapshot.read_text())
-    (entry,) = (e for e in document["files"] if e["path"] == file)
-    entry.update(values)
-    snapshot.write_text(json.dumps(document))
+    snapshot = LakeStore.open(path).snapshot(1)
+    files = tuple(e._replace(**values) if e.path == file else e for e in snapshot.files)
+    (path / "snapshots/00000001.json").write_bytes(replace(snapshot, files=files).to_json())
 
 
 def honest_entry(path: Path, file: str) -> None:

@@ -48,23 +48,30 @@ def test_basis_is_the_recursion(degree):
     for t in rng.uniform(knots[degree], knots[-degree - 1], 20):
         k = int(np.searchsorted(knots, t, side="right")) - 1
         near = [np.array([x]) for x in knots[k - degree + 1 : k + degree + 1]]
-        values, _, _ = basis_functions(near, np.array([t]), degree)
+        values = basis_functions(near, np.array([t]), degree).values[0]
         truth = [cox_de_boor(knots, k - degree + i, degree, t) for i in range(degree + 1)]
         assert np.allclose(np.ravel(values), truth, rtol=0, atol=1e-14)
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(1, 12), st.integers(0, 2**31), st.floats(0, 1))
-def test_basis_sums_to_one_and_slopes_to_zero(degree, seed, share):
+def test_splines_reproduce_constants_and_straight_lines(degree, seed, share):
+    """Poles at the Greville abscissae make the spline t itself; equal poles make a constant."""
     rng = np.random.default_rng(seed)
     knots = np.cumsum(rng.choice([0.0, 1e-3, 1.0, 40.0], 2 * degree))
     knots[degree:] += 0.5  # the span of the points is not empty
     t = np.array([knots[degree - 1] + share * (knots[degree] - knots[degree - 1])])
-    values, first, second = basis_functions([np.array([k]) for k in knots], t, degree)
-    assert abs(sum(values) - 1)[0] < 1e-13
-    assert all(value[0] >= 0 for value in values)
-    for part in (first, second):
-        assert abs(sum(part))[0] <= 1e-13 * max(abs(p[0]) for p in part) + 1e-300
+    basis = basis_functions([np.array([k]) for k in knots], t, degree)
+    assert all(value[0] >= 0 for value in basis.values[0])
+    constant = basis.sums([np.array([7.0])] * (degree + 1), 3)
+    assert abs(constant[0][0] - 7) < 1e-13
+    assert not np.any(constant[1:])
+    greville = [np.array([np.mean(knots[i : i + degree])]) for i in range(degree + 1)]
+    value, slope, bend = (part[0] for part in basis.sums(greville, 2))
+    assert abs(value - t[0]) < 1e-13 * knots[-1]
+    assert abs(slope - 1) < 1e-12
+    shortest = np.diff(knots)[np.diff(knots) > 0].min()
+    assert abs(bend) < 1e-13 * degree / shortest * 10
 
 
 def test_polynomials_are_reproduced():

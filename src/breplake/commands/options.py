@@ -10,7 +10,7 @@ import typer
 if TYPE_CHECKING:
     from rich.console import Console
 
-__all__ = ["AtOption", "LakeOption", "console", "shown"]
+__all__ = ["AtOption", "LakeOption", "console", "shown", "sized"]
 
 LakeOption = Annotated[
     Path,
@@ -41,3 +41,12 @@ def shown(value: object) -> str:
         return ""
     text = f"{value:.10g}" if isinstance(value, float) else str(value)
     return "".join(c if c.isprintable() or c == "\n" else repr(c)[1:-1] for c in text)
+
+
+def sized(size: float) -> str:
+    """Return a number of bytes in the unit that suits it."""
+    for unit in ("bytes", "kB", "MB", "GB"):
+        if size < 1000:
+            return f"{size:.3g} {unit}"
+        size /= 1000
+    return f"{size:.3g} TB"

@@ -1,0 +1,1 @@
+"""How far results are from those of others, and from the truth."""

@@ -1,0 +1,279 @@
+"""Compare points, normals and curvatures of every patch of CAD files with Open CASCADE's.
+
+Run it as ``python -m breplake.bench.accuracy.evaluate FOLDER``: it takes models of the folder
+in the order of their SHA-256, evaluates every patch at random parameters, and prints the worst
+differences by type of surface. Where these exceed the tolerances, our own kernels in extended
+precision (64 bits of mantissa against 53) decide who is off by how much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import numpy as np
+import pyarrow as pa
+import typer
+
+from breplake.errors import InputError
+from breplake.schema.forms import principal_values, unit_normal
+from breplake.schema.jets import SurfacePoints
+from breplake.schema.namespace import Bools, Floats, Ints
+from breplake.schema.surfaces import SurfaceSet
+from breplake.schema.transfer import mapped
+
+__all__ = ["TOLERANCES", "Errors", "compare", "main", "report", "total"]
+
+TOLERANCES: Final = {"position": 1e-12, "normal": 1e-10, "curvature": 1e-7}
+"""Largest differences: of the model's size; of unit vectors; relative to the larger curvature."""
+
+_FLAT: Final = 1e-9
+"""Curvatures below this over the model's size are compared with it: a flat patch has none."""
+
+
+@dataclass(slots=True)
+class Errors:
+    """Worst differences over points of some patches.
+
+    Attributes
+    ----------
+    patches, points : int
+        How many were compared.
+    unknown : int
+        Patches that cannot be evaluated.
+    flagged : int
+        Points where we or Open CASCADE say that normal or curvature is undefined.
+    worst : dict
+        Against Open CASCADE, by name of the tolerance, `flagged` points left out.
+    disputed : int
+        Points that differ by more than a tolerance.
+    ours, theirs : dict
+        Worst error of either at these points, against extended precision.
+    """
+
+    patches: int = 0
+    points: int = 0
+    unknown: int = 0
+    flagged: int = 0
+    disputed: int = 0
+    worst: dict[str, float] = field(default_factory=lambda: dict.fromkeys(TOLERANCES, 0.0))
+    ours: dict[str, float] = field(default_factory=lambda: dict.fromkeys(TOLERANCES, 0.0))
+    theirs: dict[str, float] = field(default_factory=lambda: dict.fromkeys(TOLERANCES, 0.0))
+
+    def add(self, other: Errors) -> None:
+        """Take in the figures of other patches."""
+        for name in ("patches", "points", "unknown", "flagged", "disputed"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+        for name in ("worst", "ours", "theirs"):
+            _raise(getattr(self, name), getattr(other, name))
+
+    @property
+    def failed(self) -> list[str]:
+        """Names of the tolerances that we exceed, as far as that can be decided."""
+        return [name for name, limit in TOLERANCES.items() if not self._own(name) <= limit]
+
+    def _own(self, name: str) -> float:
+        """Return our worst error: at disputed points, that against extended precision."""
+        return self.ours[name] if self.worst[name] > TOLERANCES[name] else self.worst[name]
+
+
+def _raise(worst: dict[str, float], new: dict[str, float]) -> None:
+    for name, value in new.items():
+        worst[name] = max(worst[name], value)
+
+
+def compare(
+    surfaces: list[Any], table: pa.Table, per_patch: int, seed: int = 0
+) -> dict[str, Errors]:
+    """Compare every patch of a model with Open CASCADE, by type of surface.
+
+    Parameters
+    ----------
+    surfaces : list
+        ``Geom_Surface`` of each row, as of ``ingest.pointwise.patch_geometry``.
+    table : pyarrow.Table
+        Rows of ``patches``.
+    per_patch : int
+        Random parameters on each patch, uniform within its bounds.
+    seed : int
+        Of the parameters.
+    """
+    from breplake.ingest.pointwise import geometry_points
+
+    ours = SurfaceSet.from_patches(table)
+    row, u, v = random_parameters(table, per_patch, seed)
+    found = ours.points(row, u, v)
+    size = _diagonal(found.point)
+    errors: dict[str, Errors] = {}
+    for i, (kind, surface) in enumerate(zip(table["type"].to_pylist(), surfaces, strict=True)):
+        mine = slice(i * per_patch, (i + 1) * per_patch)
+        patch = Errors(patches=1)
+        if ours.known[i]:
+            truth = geometry_points(surface, u[mine], v[mine])
+            patch = _patch_errors(ours, row[mine], u[mine], v[mine], _cut(found, mine), truth, size)
+        else:
+            patch.unknown = 1
+        errors.setdefault(kind, Errors()).add(patch)
+    return errors
+
+
+def random_parameters(table: pa.Table, per_patch: int, seed: int) -> tuple[Ints, Floats, Floats]:
+    """Return rows, u and v of points within the bounds of every patch, patch by patch."""
+    rng = np.random.default_rng(seed)
+    row = np.repeat(np.arange(table.num_rows), per_patch)
+    bounds = [table[name].to_numpy()[row] for name in ("u_min", "u_max", "v_min", "v_max")]
+    return row, rng.uniform(*bounds[:2]), rng.uniform(*bounds[2:])
+
+
+def _diagonal(points: Floats) -> float:
+    known = points[np.isfinite(points).all(axis=1)]
+    return float(np.linalg.norm(np.ptp(known, axis=0))) if len(known) else 1.0
+
+
+def _cut(points: SurfacePoints, part: slice) -> SurfacePoints:
+    return SurfacePoints(
+        points.point[part], points.normal[part], points.k_min[part], points.k_max[part]
+    )
+
+
+def _patch_errors(
+    surfaces: SurfaceSet,
+    row: Ints,
+    u: Floats,
+    v: Floats,
+    found: SurfacePoints,
+    truth: SurfacePoints,
+    size: float,
+) -> Errors:
+    """Compare the points of one patch."""
+    differences = _differences(found, truth, size)
+    bad = np.isnan(differences["normal"]) | np.isnan(differences["curvature"])
+    errors = Errors(patches=1, points=len(u), flagged=int(bad.sum()))
+    errors.worst = {name: _largest(values) for name, values in differences.items()}
+    beyond: Bools = np.any([differences[n] > limit for n, limit in TOLERANCES.items()], axis=0)
+    if beyond.any():
+        exact = _extended(surfaces, row[beyond], u[beyond], v[beyond])
+        for one, against in (("ours", found), ("theirs", truth)):
+            some = SurfacePoints(*(getattr(against, n)[beyond] for n in _PARTS))
+            gap = _differences(some, exact, size)
+            setattr(errors, one, {name: _largest(values) for name, values in gap.items()})
+        errors.disputed = int(beyond.sum())
+    return errors
+
+
+_PARTS: Final = ("point", "normal", "k_min", "k_max")
+
+
+def _differences(one: SurfacePoints, two: SurfacePoints, size: float) -> dict[str, Floats]:
+    """Return the differences ``(n,)`` by name of the tolerance; NaN where flagged."""
+    bend = np.maximum(np.maximum(np.abs(two.k_min), np.abs(two.k_max)), _FLAT / size)
+    gap = np.maximum(np.abs(one.k_min - two.k_min), np.abs(one.k_max - two.k_max))
+    return {
+        "position": np.linalg.norm(one.point - two.point, axis=1) / size,
+        "normal": np.linalg.norm(one.normal - two.normal, axis=1),
+        "curvature": gap / bend,
+    }
+
+
+def _largest(values: Floats) -> float:
+    known = values[~np.isnan(values)]
+    return float(known.max(initial=0.0))
+
+
+def _extended(surfaces: SurfaceSet, row: Ints, u: Floats, v: Floats) -> SurfacePoints:
+    """Evaluate points of one patch with 64 bits of mantissa, from derivatives."""
+    if np.finfo(np.longdouble).eps > 1e-18:
+        nothing = np.full((len(u), 3), np.nan)
+        return SurfacePoints(nothing, nothing, nothing[:, 0], nothing[:, 0])
+
+    def widened(array: Any) -> Any:
+        return array.astype(np.longdouble) if array.dtype == np.float64 else array
+
+    wide, parameters = mapped(surfaces, widened), (widened(u), widened(v))
+    point, du, dv, *seconds = wide.jet(int(surfaces.group[row[0]]), row, *parameters)
+    least = np.zeros((2, len(u)))
+    normal = unit_normal(du, dv, least)
+    bends = principal_values(du, dv, (seconds[0], seconds[1], seconds[2]), normal, least)
+    return SurfacePoints(np.broadcast_to(point, (3, len(u))).T, normal.T, *bends)
+
+
+def total(errors: Iterable[dict[str, Errors]]) -> dict[str, Errors]:
+    """Add up the figures of many models."""
+    found: dict[str, Errors] = {}
+    for model in errors:
+        for kind, patch in model.items():
+            found.setdefault(kind, Errors()).add(patch)
+    return found
+
+
+def report(errors: dict[str, Errors]) -> list[str]:
+    """Return a table, a line for each type of surface, and what disputed points came to."""
+    everything = Errors()
+    for one in errors.values():
+        everything.add(one)
+    names = tuple(TOLERANCES)
+    head = ("patches", "points", "unknown", "flagged", "disputed")
+    lines = [f"{'type':<11}" + "".join(f"{n:>10}" for n in (*head, *names))]
+    for kind, one in [*sorted(errors.items()), ("all", everything)]:
+        lines.append(
+            f"{kind:<11}"
+            + "".join(f"{getattr(one, n):>10}" for n in head)
+            + "".join(f"{one.worst[n]:>10.1e}" for n in names)
+        )
+    if everything.disputed:
+        lines.append("worst error at the disputed points, against extended precision:")
+        for name, part in (("ours", everything.ours), ("OCCT's", everything.theirs)):
+            lines.append(f"{name:<61}" + "".join(f"{part[n]:>10.1e}" for n in names))
+    limits = ", ".join(f"{name} {limit:.0e}" for name, limit in TOLERANCES.items())
+    return [*lines, f"tolerances: {limits}; exceeded: {', '.join(everything.failed) or 'none'}"]
+
+
+def _models(folder: Path, models: int, per_patch: int) -> Iterator[tuple[str, dict[str, Errors]]]:
+    """Compare the first models that hold patches, each in a process that may crash."""
+    import pebble
+
+    from breplake.ingest.inputs import find_inputs
+
+    inputs = sorted((i for i in find_inputs([folder]) if i.sha256), key=lambda i: str(i.sha256))
+    done = 0
+    with pebble.ProcessPool(max_workers=1) as pool:
+        for item in inputs:
+            if done == models:
+                return
+            task = pool.schedule(_model, [item.path, item.format, per_patch], timeout=1800)
+            try:
+                found = task.result()
+            except (InputError, pebble.ProcessExpired, TimeoutError) as error:
+                typer.echo(f"left out {item.name}: {error}", err=True)
+                continue
+            if found:
+                done += 1
+                yield item.name, found
+
+
+def _model(path: Path, format: str, per_patch: int) -> dict[str, Errors]:
+    from breplake.ingest.pointwise import faces_of, patch_geometry
+
+    return compare(*patch_geometry(faces_of(path, format)), per_patch)
+
+
+def main(
+    folder: Annotated[Path, typer.Argument(help="CAD files.", metavar="FOLDER")],
+    models: Annotated[int, typer.Option(help="How many models.")] = 100,
+    points: Annotated[int, typer.Option(help="Random parameters on each patch.")] = 1000,
+) -> None:
+    """Compare evaluated patches with Open CASCADE's."""
+    found: list[dict[str, Errors]] = []
+    for name, errors in _models(folder, models, points):
+        found.append(errors)
+        disputed = sum(one.disputed for one in errors.values())
+        typer.echo(f"{sum(e.patches for e in errors.values()):6} {disputed:6} {name}", err=True)
+    typer.echo("\n".join([f"{len(found)} models", *report(total(found))]))
+    if any(one.failed for one in total(found).values()):
+        raise typer.Exit(1)
+
+
+if __name__ == "__main__":
+    typer.run(main)

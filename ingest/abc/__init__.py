@@ -1,0 +1,1 @@
+"""Models from the original file formats of the ABC dataset: OBJ, features and stats YAML."""

@@ -1,0 +1,71 @@
+-- Helices: threads, worms and springs
+-- Topic: features
+--
+-- Curves that climb a cylinder steadily: in the parameter plane of the cylinder, whose axes are
+-- angle and height, a helix is a straight slanted line. Models with many turns are threaded.
+--
+-- Parameters:
+--   min_turns DOUBLE = 0.5: turns that the longest helix of a model must have
+-- Columns:
+--   model_id: the model
+--   collection: its collection
+--   name: its name
+--   pitch (mm): rise of a turn, rounded to a micrometre
+--   handed: right or left
+--   helices: curves with that pitch
+--   turns: turns of the longest of them
+--   least_radius (mm): radius of the innermost
+--   most_radius (mm): radius of the outermost
+WITH on_cylinders AS (
+    SELECT
+        e.model_id, e.curve_id, e.t_min, e.t_max, p.radius,
+        coalesce(b.type, c.type) AS type,
+        coalesce(b.direction, c.direction) AS direction,
+        coalesce(b.poles, c.poles) AS poles,
+        coalesce(b.knots, c.knots) AS knots,
+        (p.x_axis.y * p.y_axis.z - p.x_axis.z * p.y_axis.y) * p.z_axis.x
+        + (p.x_axis.z * p.y_axis.x - p.x_axis.x * p.y_axis.z) * p.z_axis.y
+        + (p.x_axis.x * p.y_axis.y - p.x_axis.y * p.y_axis.x) * p.z_axis.z < 0 AS left_axes
+    FROM coedges AS e
+    JOIN patches AS p USING (model_id, patch_id)
+    JOIN pcurves AS c ON c.model_id = e.model_id AND c.pcurve_id = e.pcurve
+    LEFT JOIN pcurves AS b
+        ON c.type = 'Trimmed' AND b.model_id = c.model_id AND b.pcurve_id = c.basis
+    WHERE p.type = 'Cylinder'
+),
+-- angle u and height v that the curve covers; splines that are straight lines count too
+covered AS (
+    SELECT model_id, curve_id, radius, left_axes, du, dv
+    FROM (
+        SELECT
+            *,
+            if(type = 'Line', direction.u, (poles[-1].u - poles[1].u) / (knots[-1] - knots[1]))
+                * (t_max - t_min) AS du,
+            if(type = 'Line', direction.v, (poles[-1].v - poles[1].v) / (knots[-1] - knots[1]))
+                * (t_max - t_min) AS dv
+        FROM on_cylinders
+        WHERE type = 'Line' OR (type = 'BSpline' AND knots[-1] > knots[1])
+    )
+    WHERE
+        -- neither a circle nor a straight line
+        abs(dv) > 1e-3 * radius * abs(du) AND radius * abs(du) > 1e-3 * abs(dv)
+        AND (type = 'Line' OR list_max([
+            abs((pole.u - poles[1].u) * dv - (pole.v - poles[1].v) * du) * radius
+            FOR pole IN poles
+        ]) <= 1e-3 * (radius * radius * du * du + dv * dv))
+)
+SELECT
+    model_id,
+    any_value(m.collection) AS collection,
+    any_value(m.name) AS name,
+    round(2 * pi() * abs(dv / du), 3) AS pitch,
+    if((dv / du < 0) <> left_axes, 'left', 'right') AS handed,
+    count(DISTINCT curve_id) AS helices,
+    max(abs(du)) / (2 * pi()) AS turns,
+    min(radius) AS least_radius,
+    max(radius) AS most_radius
+FROM covered
+JOIN models AS m USING (model_id)
+GROUP BY model_id, pitch, handed
+HAVING turns >= $min_turns
+ORDER BY turns DESC, collection, name, pitch

@@ -1,0 +1,1 @@
+"""What separates the versions of a lake, and copies of them."""
