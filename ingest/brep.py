@@ -21,7 +21,7 @@ from breplake.ingest.lossless.graph import PcurveUse, ShapeGraph
 from breplake.ingest.sharpness import Crease, Dihedral, classify, measure
 from breplake.schema.tables import PATCHES
 
-__all__ = ["INFINITE", "Brep", "Coedge", "extract"]
+__all__ = ["INFINITE", "INTEGRAL", "Brep", "Coedge", "extract"]
 
 INFINITE: Final = 1e50
 """Parameters beyond this are OCCT's way of saying infinite (``Precision::Infinite``)."""

@@ -116,9 +116,7 @@ def find_inputs(sources: Sequence[Path], collection: str | None = None) -> list[
         for path in _walk(source, closed.append) if is_folder else [source]:
             relative = path.relative_to(source) if is_folder else Path(path.name)
             _sort_in(models, group, path, relative)
-        found += [
-            _closed_folder(Path(error.filename), source, group, error) for error in closed
-        ]
+        found += [_closed_folder(Path(error.filename), source, group, error) for error in closed]
     unique = {(item.collection, item.name): item for item in found}
     for (group, name), files in models.items():
         item = _input(files, group, name)

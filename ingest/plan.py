@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
-
-import pyarrow.parquet as pq
+from typing import TYPE_CHECKING
 
 from breplake.errors import UsageError
 from breplake.ingest.failure import KINDS
 from breplake.ingest.inputs import Input
 from breplake.ingest.settings import Settings
 from breplake.schema.lake import LakeStore
-from breplake.schema.snapshot import Snapshot
+
+if TYPE_CHECKING:
+    import polars as pl
 
 __all__ = ["Plan", "Redo", "plan"]
 
@@ -81,68 +81,85 @@ class Plan:
     redone: frozenset[int] = frozenset()
 
 
-class _Known(NamedTuple):
-    """What the lake says of one input."""
-
-    sha256: str | None
-    config_hash: str
-    is_complete: bool
-    kinds: tuple[str, ...]
-
-
 def plan(
     store: LakeStore, inputs: Sequence[Input], settings: Settings, redo: Redo | None = None
 ) -> Plan:
     """Compare `inputs` with what the lake's newest snapshot holds."""
     redo = redo or Redo()
-    known = _known(store.head(), store)
     new: list[Input] = []
     unchanged: list[Input] = []
     changed: list[Input] = []
     failed: list[Input] = []
     again: set[int] = set()
-    for item in inputs:
-        was = known.get(item.model_id)
-        if was is None:
+    for item, (is_known, is_same, is_complete, kinds) in zip(
+        inputs, _states(store, inputs, settings.config_hash), strict=True
+    ):
+        if not is_known:
             new.append(item)
-        elif (was.sha256, was.config_hash) != (item.sha256, settings.config_hash):
+        elif not is_same:
             changed.append(item)
             if redo.changed:
                 again.add(item.model_id)
         else:
             unchanged.append(item)
-            if not was.is_complete:
+            if not is_complete:
                 failed.append(item)
-                if redo.failed and (not redo.kinds or set(redo.kinds) & set(was.kinds)):
+                if redo.failed and (not redo.kinds or set(redo.kinds) & set(kinds or ())):
                     again.add(item.model_id)
     fresh = {item.model_id for item in new}
     todo = [item for item in inputs if item.model_id in fresh or item.model_id in again]
     return Plan(list(inputs), new, unchanged, changed, failed, todo, frozenset(again))
 
 
-def _known(head: Snapshot | None, store: LakeStore) -> dict[int, _Known]:
-    """Return what a snapshot holds, by model_id."""
-    known: dict[int, _Known] = {}
-    if head is None:
-        return known
-    for row in _rows(store, head, "failures", ["kind"]):
-        earlier = known.get(row["model_id"])
-        kinds = (*earlier.kinds, row["kind"]) if earlier else (row["kind"],)
-        known[row["model_id"]] = _Known(row["sha256"], row["config_hash"], False, kinds)
-    for row in _rows(store, head, "models", ["mesh_kind"]):
-        earlier = known.get(row["model_id"])
-        known[row["model_id"]] = _Known(
-            row["sha256"],
-            row["config_hash"],
-            row["mesh_kind"] is not None,
-            earlier.kinds if earlier else (),
-        )
-    return known
+def _states(
+    store: LakeStore, inputs: Sequence[Input], config_hash: str
+) -> Iterable[tuple[bool, bool, bool, list[str] | None]]:
+    """Return what the newest snapshot knows of each input, in their order.
+
+    Whether it has the input, of the same bytes and settings, with a mesh, and the kinds of its
+    failures. By columns: a lake may hold a million models.
+    """
+    import polars as pl
+
+    asked = pl.LazyFrame(
+        {
+            "model_id": [item.model_id for item in inputs],
+            "asked": [item.sha256 for item in inputs],
+        },
+        schema={"model_id": pl.Int64, "asked": pl.String},
+    )
+    models = _scan(store, "models", "mesh_kind")
+    failures = _scan(store, "failures", "kind").group_by("model_id", maintain_order=True)
+    known = models.join(
+        failures.agg(pl.col("sha256", "config_hash").last(), pl.col("kind")),
+        on="model_id",
+        how="full",
+        coalesce=True,
+        suffix="_failed",
+    )
+    state = asked.join(known, on="model_id", how="left", maintain_order="left").select(
+        pl.coalesce("config_hash", "config_hash_failed").is_not_null(),
+        (
+            pl.coalesce("config_hash", "config_hash_failed").eq(config_hash)
+            & pl.when(pl.col("config_hash").is_null())
+            .then(pl.col("sha256_failed").eq_missing(pl.col("asked")))
+            .otherwise(pl.col("sha256").eq_missing(pl.col("asked")))
+        ).alias("is_same"),
+        pl.col("mesh_kind").is_not_null(),
+        pl.col("kind"),
+    )
+    return state.collect().iter_rows()
 
 
-def _rows(
-    store: LakeStore, head: Snapshot, table: str, more: list[str]
-) -> Iterable[dict[str, Any]]:
-    columns = ["model_id", "sha256", "config_hash", *more]
-    for entry in head.table_files(table):
-        yield from pq.read_table(store.root / entry.path, columns=columns).to_pylist()
+def _scan(store: LakeStore, table: str, more: str) -> pl.LazyFrame:
+    """Return model_id, sha256, config_hash and one more column of a table, to be read."""
+    import polars as pl
+
+    columns = ("model_id", "sha256", "config_hash", more)
+    head = store.head()
+    paths = [store.root / entry.path for entry in head.table_files(table)] if head else []
+    if not paths:
+        schema = {name: pl.Int64 if name == "model_id" else pl.String for name in columns}
+        return pl.LazyFrame(schema=schema)
+    frame = pl.scan_parquet(paths, glob=False, hive_partitioning=False, extra_columns="ignore")
+    return frame.select(columns)

@@ -36,6 +36,8 @@ class Settings:
         Adaptive mode: elements per 2 pi of curvature.
     max_triangles : int
         Largest mesh. A model that would need more gets longer edges, and says so.
+    uv_grid : int
+        Points along a side of the UV-grids of patches and curves; 0 for none.
     timeout : float
         Seconds a model may take in one attempt.
     memory : float
@@ -52,6 +54,7 @@ class Settings:
     grading: float = 0.05
     per_turn: int = 16
     max_triangles: int = 1_000_000
+    uv_grid: int = 0
     timeout: float = 120.0
     memory: float = 8.0
 
@@ -63,6 +66,11 @@ class Settings:
             (0 < self.grading <= 1, "grading must be in (0, 1]", self.grading),
             (self.per_turn >= 3, "per_turn must be at least 3", self.per_turn),
             (self.max_triangles >= 1000, "max_triangles must be at least 1000", self.max_triangles),
+            (
+                self.uv_grid == 0 or 2 <= self.uv_grid <= 256,
+                "uv_grid must be 0 or 2 to 256",
+                self.uv_grid,
+            ),
             (self.timeout > 0, "timeout must be more than 0 seconds", self.timeout),
             (self.memory >= 1, "memory must be at least 1 GiB", self.memory),
         )
@@ -76,4 +84,6 @@ class Settings:
         content = {k: v for k, v in asdict(self).items() if k not in ("timeout", "memory")}
         if self.mesh == "uniform":
             del content["grading"], content["per_turn"]
+        if not self.uv_grid:
+            del content["uv_grid"]
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]

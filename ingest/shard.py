@@ -13,7 +13,7 @@ from breplake.ingest.failure import KILLED
 from breplake.ingest.geometry import Row
 from breplake.ingest.inputs import printable
 from breplake.ingest.pool import Result
-from breplake.schema.arrays import ArrayShardWriter
+from breplake.schema.arrays import GRID_ARRAYS, ArrayShardWriter
 from breplake.schema.lake import LakeStore
 from breplake.schema.shard_writer import fresh_name, write_table
 from breplake.schema.snapshot import FileEntry
@@ -56,11 +56,14 @@ def write_shard(store: LakeStore, results: Sequence[Result], config_hash: str) -
     recorded = [result for result in ordered if result.recorded]
     rows = [_finished(result, name) for result in recorded]
     meshed = [bool(row.get("mesh_kind")) for row in rows]
-    if any(meshed):
-        with ArrayShardWriter(store.array_path(name)) as arrays:
-            for result, row, has_mesh in zip(recorded, rows, meshed, strict=True):
-                if has_mesh:
-                    row |= _append(arrays, result)
+    grids = [result.spool.read_grids() for result in recorded]
+    if any(meshed) or any(grids):
+        size = next((grid[GRID_ARRAYS[0]].shape[1] for grid in grids if grid), 0)
+        with ArrayShardWriter(store.array_path(name), size) as arrays:
+            for result, row, has_mesh, grid in zip(recorded, rows, meshed, grids, strict=True):
+                blocks = (_mesh_arrays(result) if has_mesh else {}) | (grid or {})
+                if blocks:
+                    row |= arrays.append(blocks).columns()
     failures = [row for result in ordered for row in _failure_rows(result, config_hash)]
     if rows:
         write_table(store, name, MODELS, [MODELS.from_rows(rows)])
@@ -106,8 +109,8 @@ def _failure_rows(result: Result, config_hash: str) -> list[Row]:
     ]
 
 
-def _append(arrays: ArrayShardWriter, result: Result) -> Row:
-    """Add a model's mesh to the arrays and return its offsets."""
+def _mesh_arrays(result: Result) -> dict[str, Any]:
+    """Return a model's mesh as arrays."""
     vertices, faces = (result.spool.read_table(table.name) for table in _STREAMED)
     curves = result.spool.read_table("curves")
     if vertices is None or faces is None or curves is None:
@@ -124,22 +127,15 @@ def _append(arrays: ArrayShardWriter, result: Result) -> Row:
     by_vertex = np.argsort(column(vertices, "vertex_id")[primary])
     position = columns(vertices, "x", "y", "z")[primary][by_vertex]  # (n, 3) mm
     feature = _feature(vertices, curves)[primary][by_vertex]
-    offsets = arrays.append(
-        {
-            "position": position.astype(np.float32),
-            "feature": feature,
-            "normal": columns(vertices, "nx", "ny", "nz").astype(np.float32),
-            "curvature": columns(vertices, "k_min", "k_max").astype(np.float32),
-            "patch": column(vertices, "patch_id"),
-            "triangle": columns(faces, "v0", "v1", "v2"),
-            "triangle_normal": columns(faces, "n0", "n1", "n2"),
-            "triangle_patch": column(faces, "patch_id"),
-        }
-    )
     return {
-        "vertex_offset": offsets.vertex,
-        "normal_offset": offsets.normal,
-        "face_offset": offsets.face,
+        "position": position.astype(np.float32),
+        "feature": feature,
+        "normal": columns(vertices, "nx", "ny", "nz").astype(np.float32),
+        "curvature": columns(vertices, "k_min", "k_max").astype(np.float32),
+        "patch": column(vertices, "patch_id"),
+        "triangle": columns(faces, "v0", "v1", "v2"),
+        "triangle_normal": columns(faces, "n0", "n1", "n2"),
+        "triangle_patch": column(faces, "patch_id"),
     }
 
 

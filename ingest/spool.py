@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.feather
 
@@ -28,6 +31,7 @@ HANG_EXIT: Final = 75
 """Exit code of a worker that ended itself because Gmsh hung."""
 
 _MODEL: Final = "model.json"
+_GRIDS: Final = "grids"
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +152,23 @@ class Spool:
         """
         path = self._complete() / f"{name}.arrow"
         return pa.feather.read_table(path, memory_map=False) if path.exists() else None
+
+    def write_grids(self, grids: Mapping[str, npt.NDArray[np.float32]]) -> None:
+        """Hand over the UV-grids of the model, all of them or none."""
+        partial = self.folder / "grids.partial"
+        shutil.rmtree(partial, ignore_errors=True)  # what a killed attempt left
+        partial.mkdir()
+        for name, grid in grids.items():
+            np.save(partial / f"{name}.npy", grid)
+        shutil.rmtree(self.folder / _GRIDS, ignore_errors=True)
+        os.replace(partial, self.folder / _GRIDS)
+
+    def read_grids(self) -> dict[str, npt.NDArray[np.float32]] | None:
+        """Map the UV-grids into memory by name; None if the model has none."""
+        folder = self.folder / _GRIDS
+        if not folder.exists():
+            return None
+        return {path.stem: np.load(path, mmap_mode="r") for path in sorted(folder.iterdir())}
 
     def _complete(self) -> Path:
         if self._record is None:

@@ -14,6 +14,10 @@ TIME_STAMP: Final = "2000-01-01T00:00:00"
 """Time stamp in the header of every file, so that equal models give equal bytes."""
 
 
+_UNNAMED: Final = "Open CASCADE STEP translator"
+"""How the kernel's names of nameless products begin; a count follows."""
+
+
 @dataclass(frozen=True, slots=True)
 class Paint:
     """Name and colour of a part of a product's shape.
@@ -87,6 +91,7 @@ def write_document(
         writer.SetNameMode(True)
         written = writer.Transfer(document, STEPControl_StepModelType.STEPControl_AsIs)
         _paint(writer, paints)
+        _unname(writer)
         _number_instances(writer)
         _set_header(writer, name, author)
         status = writer.Write(str(path)) if written else None
@@ -115,6 +120,19 @@ def _paint(writer: Any, paints: Sequence[Paint]) -> None:
         painted = StepVisual_MechanicalDesignGeometricPresentationRepresentation()
         painted.Init(TCollection_HAsciiString(""), items, styles.FindContext(paint.product))
         writer.ChangeWriter().Model().AddWithRefs(painted)
+
+
+def _unname(writer: Any) -> None:
+    """Leave products without a name empty: the kernel calls them by its own name and a count."""
+    from OCP.StepBasic import StepBasic_Product
+    from OCP.TCollection import TCollection_HAsciiString
+
+    model = writer.ChangeWriter().Model()
+    for i in range(1, model.NbEntities() + 1):
+        entity = model.Value(i)
+        if isinstance(entity, StepBasic_Product) and entity.Name().ToCString().startswith(_UNNAMED):
+            entity.SetName(TCollection_HAsciiString(""))
+            entity.SetId(TCollection_HAsciiString(""))
 
 
 def _number_instances(writer: Any) -> None:

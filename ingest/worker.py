@@ -36,6 +36,7 @@ from breplake.ingest.unpack import unpacked
 from breplake.ingest.versions import versions
 from breplake.schema.abc import ABC_FORMAT
 from breplake.schema.fingerprint import fingerprint
+from breplake.schema.uvgrid import uv_grids
 
 __all__ = ["Task", "silence", "work"]
 
@@ -126,6 +127,7 @@ class _Model:
             brep = self._brep(document)
             self._read_beside()
         self._write("brep")
+        self._add_grids()
         with self.clock.stage("mesh"):
             if not brep.patches:
                 raise InputError("no-patches", advise("no-patches", ""))
@@ -185,6 +187,16 @@ class _Model:
         self.row = self._source_columns() | found.row
         self._identify()
         self._write("mesh")
+        self._add_grids()
+
+    def _add_grids(self) -> None:
+        """Sample patches and curves if asked to; a model that resists has no grids."""
+        if self.settings.uv_grid:
+            try:
+                with self.clock.stage("brep", "uv-grid"):
+                    self.spool.write_grids(uv_grids(self.tables, self.settings.uv_grid))
+            except Exception as error:  # the mesh is no worse for it
+                self._note(error)
 
     def _read_beside(self) -> None:
         """Take over what ABC files beside a STEP file say; what is wrong there is noted."""

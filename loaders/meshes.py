@@ -112,7 +112,7 @@ class MeshDataset(SampleDataset[MeshSample]):
         seed : int
             Another seed draws other points.
         source : str
-            ``vertices`` or ``triangles``: see `PointCloudDataset`.
+            ``vertices``, ``triangles`` or ``exact``: see `PointCloudDataset`.
         transforms : sequence of Transform
             Applied to each cloud in turn.
         per_model : int

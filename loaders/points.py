@@ -18,7 +18,7 @@ from breplake.loaders.transforms import Transform
 
 __all__ = ["PointCloudDataset", "Source", "draw", "vertex_of_normal"]
 
-Source = Literal["vertices", "triangles"]
+Source = Literal["vertices", "triangles", "exact"]
 """What points are drawn from."""
 
 
@@ -34,6 +34,9 @@ class PointCloudDataset(SampleDataset[PointCloudSample]):
     are the exact ones of the corners on the triangle's patch, interpolated linearly and made
     unit; where a corner has none, the triangle's own normal stands in and curvatures are NaN.
 
+    With ``exact``, points are evenly spread over the area of the trimmed surfaces themselves, with
+    all quantities evaluated there (`Lake.sample`); patches that cannot be evaluated have none.
+
     The draw is a function of the seed, the model's id and the epoch alone.
 
     Parameters
@@ -45,7 +48,7 @@ class PointCloudDataset(SampleDataset[PointCloudSample]):
     seed : int
         At least 0; another seed draws other points.
     source : str
-        ``vertices`` or ``triangles``.
+        ``vertices``, ``triangles`` or ``exact``.
     transforms : sequence of Transform
         Applied to each cloud in turn.
     per_model : int
@@ -84,13 +87,16 @@ class PointCloudDataset(SampleDataset[PointCloudSample]):
         Raises
         ------
         UsageError
-            If no vertex of the model has a normal, or its mesh has no area.
+            If no vertex of the model has a normal, its mesh has no area, or no patch of it can be
+            evaluated.
         """
         match self.source:
             case "vertices":
                 return self._from_vertices(model, self._key(model, number, epoch))
             case "triangles":
                 return self._from_triangles(model, self._key(model, number, epoch))
+            case "exact":
+                return self._from_surfaces(model, self._key(model, number, epoch))
 
     def _key(self, model: int, number: int, epoch: int) -> tuple[int, ...]:
         """Return what a draw depends on."""
@@ -138,6 +144,18 @@ class PointCloudDataset(SampleDataset[PointCloudSample]):
             curvatures=(read("curvature", model)[pair] * weight).sum(axis=1),
             patches=read("triangle_patch", model)[face],
             features=np.zeros(self.n, np.uint8),  # inside a triangle lies no curve
+        )
+
+    def _from_surfaces(self, model: int, key: tuple[int, ...]) -> PointCloudSample:
+        seed = int(np.random.default_rng(key).integers(2**63))
+        found = self.index.lake.sample(int(self.model_ids[model]), self.n, seed=seed)
+        return self._sample(
+            model,
+            positions=found.position.astype(np.float32),
+            normals=found.normal.astype(np.float32),
+            curvatures=np.stack([found.k_min, found.k_max], axis=1).astype(np.float32),
+            patches=found.patch,
+            features=np.zeros(self.n, np.uint8),  # inside a patch lies no curve
         )
 
     def _sample(

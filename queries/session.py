@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from breplake.queries.info import LakeInfo
+    from breplake.queries.sampling import Method, PointSample
     from breplake.queries.sandbox import Sandbox
     from breplake.schema.subset import Subset
 
@@ -304,42 +305,13 @@ class Lake:
         UsageError
             If models of several collections have that name.
         """
-        rows = self.read("models", self._find_model(name_or_id))
+        from breplake.queries.lookup import failure_message, find_model
+
+        rows = self.read("models", find_model(self, name_or_id))
         if rows.num_rows == 0:
-            raise NameNotFoundError(self._failure_message(name_or_id))
+            raise NameNotFoundError(failure_message(self, name_or_id))
         row: dict[str, Any] = rows.to_pylist(maps_as_pydicts="strict")[0]
         return row
-
-    def _find_model(self, name_or_id: str | int) -> int:
-        if not isinstance(name_or_id, str):
-            return int(name_or_id)
-        query = (
-            "SELECT model_id, collection FROM {} WHERE name = $name OR "
-            "(ends_with($name, name) AND concat(collection, '/', name) = $name) ORDER BY ALL"
-        )
-        for table in ("models", "failures"):
-            sql = query.format(table).replace("SELECT", "SELECT DISTINCT", 1)
-            found = self.sql(sql, {"name": name_or_id}).fetchall()
-            if len(found) > 1:
-                names = " or ".join(f"{collection}/{name_or_id}" for _, collection in found)
-                raise UsageError(f"several models are called {name_or_id}: say {names}")
-            if found:
-                return int(found[0][0])
-        if name_or_id.isdigit():
-            return int(name_or_id)
-        raise NameNotFoundError(f"no model {name_or_id!r}{self._near_models(name_or_id)}")
-
-    def _near_models(self, name: str) -> str:
-        query = (
-            "SELECT name FROM models ORDER BY jaro_winkler_similarity(name, ?) DESC, name LIMIT 3"
-        )
-        found = [row[0] for row in self.sql(query, [name]).fetchall()]
-        return f": did you mean {', '.join(found)}?" if found else ""
-
-    def _failure_message(self, name_or_id: str | int) -> str:
-        failures = self.read("failures", self._find_model(name_or_id)).to_pylist()
-        said = failures[-1]["message"] if failures else "unknown"
-        return f"{name_or_id} was not read into the lake: {said}"
 
     def subset(self, name: str) -> Subset:
         """Return a subset of the lake by its name, whatever snapshot it was made at.
@@ -352,6 +324,50 @@ class Lake:
         from breplake.queries.subsets import load_subset
 
         return load_subset(self, name)
+
+    def sample(
+        self,
+        model: str | int,
+        n: int,
+        method: Method = "uniform",
+        *,
+        seed: int = 0,
+        curves: int | None = None,
+        spacing: float | None = None,
+    ) -> PointSample:
+        """Sample points on the patches of a model, as trimmed by their loops.
+
+        The same arguments give the same points, whatever else is sampled, and the first
+        points of a larger uniform sample are those of a smaller one.
+
+        Parameters
+        ----------
+        model : str or int
+            As of `model`.
+        n : int
+            Number of points.
+        method : {"uniform", "poisson"}
+            Independent points, uniform by area; or points that keep their distance from each
+            other (blue noise), which needs the extra ``sample``.
+        seed : int
+            Of the random numbers.
+        curves : int, optional
+            Number of points along sharp curves, uniform by length.
+        spacing : float, optional
+            Instead: greatest distance of points along each sharp curve, mm.
+
+        Raises
+        ------
+        NameNotFoundError
+            If there is no such model.
+        UsageError
+            If an argument is out of range, or the model has no patches.
+        MissingExtraError
+            If `method` needs an extra that is not installed.
+        """
+        from breplake.queries.sampling import sample
+
+        return sample(self, model, n, method, seed=seed, curves=curves, spacing=spacing)
 
     def arrays(self, shard: str) -> ArrayShardReader:
         """Return the reader of a shard's arrays.

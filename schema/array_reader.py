@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from breplake.errors import LakeFormatError, UsageError
-from breplake.schema.arrays import ARRAYS, ArraySpec
+from breplake.schema.arrays import ARRAYS, GRID_ARRAYS, ArraySpec
 
 __all__ = ["ArrayShardReader"]
 
@@ -44,6 +44,13 @@ class ArrayShardReader:
         self._layouts: dict[str, _Layout] = {}
         self._indices: dict[tuple[str, int], npt.NDArray[np.uint64] | None] = {}
 
+    @property
+    def grid(self) -> int:
+        """Points along a side of the shard's UV-grids; 0 if it has none."""
+        if not (self.path / GRID_ARRAYS[0]).exists():
+            return 0
+        return self._layout(GRID_ARRAYS[0]).tail[0]
+
     def rows(self, name: str) -> int:
         """Return the rows of the array `name`.
 
@@ -62,19 +69,19 @@ class ArrayShardReader:
         Returns
         -------
         numpy.ndarray
-            ``(stop - start,)`` or ``(stop - start, columns)``, of the type in `ARRAYS`.
+            ``(stop - start, ...)``, of the type and further axes in `ARRAYS`.
 
         Raises
         ------
         UsageError
-            If there is no such array, or the rows are not in it.
+            If there is no such array, the shard lacks it, or the rows are not in it.
         LakeFormatError
             If the files are damaged.
         """
         layout = self._layout(name)
         if not 0 <= start <= stop <= layout.rows:
             raise UsageError(f"rows {start}:{stop} are not in array {name} of {layout.rows} rows")
-        out = np.empty(layout.spec.shape(stop - start), dtype=layout.spec.dtype)
+        out = np.empty((stop - start, *layout.tail), dtype=layout.spec.dtype)
         for number in range(start // layout.file_rows, -(-stop // layout.file_rows)):
             low = max(start, number * layout.file_rows)
             high = min(stop, (number + 1) * layout.file_rows)
@@ -94,6 +101,8 @@ class ArrayShardReader:
         if name not in self._layouts:
             if name not in ARRAYS:
                 raise UsageError(f"there is no array {name!r}: one of {', '.join(ARRAYS)}")
+            if name in GRID_ARRAYS and not (self.path / name).exists():
+                raise UsageError(f"{self.path} has no {name}: breplake ingest --uv-grid makes them")
             self._layouts[name] = _read_layout(self.path / name, ARRAYS[name])
         return self._layouts[name]
 
@@ -135,14 +144,14 @@ class _Layout:
 
     path: Path
     spec: ArraySpec
+    tail: tuple[int, ...]  # shape of a row
     rows: int
     file_rows: int
     chunk_rows: int
     fill: float
 
     def file(self, number: int) -> Path:
-        tail = "/0" if self.spec.columns else ""
-        return self.path / f"c/{number}{tail}"
+        return self.path / f"c/{number}{'/0' * len(self.tail)}"
 
 
 def _read_layout(path: Path, spec: ArraySpec) -> _Layout:
@@ -161,10 +170,12 @@ def _read_layout(path: Path, spec: ArraySpec) -> _Layout:
             and [c["name"] for c in sharding["index_codecs"]] == _INDEX_CODECS
             and [c["name"] for c in sharding["codecs"]][-len(_CHUNK_CODECS) :] == _CHUNK_CODECS
             and document["chunk_key_encoding"]["name"] == "default"
-            and tuple(shape[1:]) == tuple(inner[1:]) == tuple(outer[1:]) == spec.shape(0)[1:]
+            and tuple(shape[1:]) == tuple(inner[1:]) == tuple(outer[1:])
+            and tuple(shape) == spec.shape(shape[0], shape[1] if spec.grid else 0)
         )
-        layout = _Layout(path, spec, shape[0], outer[0], inner[0], document["fill_value"])
-    except (OSError, KeyError, TypeError, ValueError) as error:
+        tail, fill = tuple(shape[1:]), document["fill_value"]
+        layout = _Layout(path, spec, tail, shape[0], outer[0], inner[0], fill)
+    except (OSError, KeyError, IndexError, TypeError, ValueError) as error:
         raise LakeFormatError(f"{path} is not an array of a lake: {error!r}") from error
     if not known:
         raise LakeFormatError(f"{path} is a Zarr array, but not laid out as a lake's are")
@@ -200,4 +211,4 @@ def _decode(data: memoryview, layout: _Layout) -> npt.NDArray[Any]:
     from numcodecs import blosc  # type: ignore[import-untyped]  # it ships no types
 
     block = np.frombuffer(blosc.decompress(data), dtype=layout.spec.dtype)
-    return block.reshape(layout.spec.shape(layout.chunk_rows))
+    return block.reshape(layout.chunk_rows, *layout.tail)

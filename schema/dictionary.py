@@ -36,6 +36,8 @@ _AXIS_MEANING: Final = {
     "vertex": "mesh vertex",
     "normal": "(vertex, patch) pair: a vertex on a crease has one for each patch",
     "face": "triangle",
+    "patch": "patch (B-Rep face); only in lakes with UV-grids, `breplake ingest --uv-grid N`",
+    "curve": "curve (B-Rep edge); likewise",
 }
 
 _HEAD: Final = """\
@@ -117,7 +119,8 @@ def table_section(table: Table) -> str:
 
 
 def _array_row(spec: ArraySpec) -> str:
-    shape = f"(n, {spec.columns})" if spec.columns else "(n,)"
+    tail = ["N"] * spec.grid + [str(spec.columns)] * bool(spec.columns)
+    shape = f"(n, {', '.join(tail)})" if tail else "(n,)"
     cells = (f"`{spec.name}`", np.dtype(spec.dtype).name, shape, spec.axis, _cell(spec.description))
     return "| " + " | ".join(cells) + " |"
 
@@ -129,8 +132,9 @@ def array_section() -> str:
     return (
         "## Arrays\n\n"
         "The meshes once more, for readers that want tensors: the models of a shard one after the\n"
-        "other. `vertex_offset`, `normal_offset` and `face_offset` of `models` say where one\n"
-        f"begins. Compressed in chunks of {CHUNK_ROWS} rows. A row, by axis, is\n\n"
+        "other. `vertex_offset`, `normal_offset`, `face_offset`, `patch_offset` and\n"
+        "`curve_offset` of `models` say where one begins, and are null where it has none.\n"
+        f"Compressed in chunks of {CHUNK_ROWS} rows. A row, by axis, is\n\n"
         f"{axes}\n\n"
         f"| array | type | shape | axis | meaning |\n|---|---|---|---|---|\n{rows}\n"
     )

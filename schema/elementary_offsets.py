@@ -53,4 +53,4 @@ def moved_elementary(kind: Ints, axes: Floats, size: Floats, offset: Floats) -> 
     past = fits & round_ & (radius < 0)
     axes[3:6, past] *= -1
     axes[9:12, past & sphere] *= -1
-    return fits
+    return np.asarray(fits)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from breplake.schema.namespace import Array, cross, dot, namespace, vanishing
 
-__all__ = ["Principal", "principal", "principal_values", "unit_normal"]
+__all__ = ["Principal", "bent", "principal", "unit_normal"]
 
 
 class Principal(NamedTuple):
@@ -28,7 +28,7 @@ class _First(NamedTuple):
     defined: Array
     a: Array  # length of du
     b: Array  # part of dv along du
-    c: Array  # part of dv across du
+    c: Array  # part of dv across du: a c is the length of du x dv
 
 
 def _guarded_root(square: Array, defined: Array) -> Array:
@@ -60,12 +60,12 @@ def unit_normal(du: Array, dv: Array, least: Array) -> Array:
     return xp.where(defined, area / _guarded_root(area2, defined), xp.nan)
 
 
-def _first_form(du: Array, dv: Array, least: Array) -> _First:
+def _first_form(du: Array, dv: Array, area: Array, least: Array) -> _First:
+    """Return the first fundamental form; `area` is du x dv."""
     xp = namespace(du)
-    defined, a2, area2 = _regular(du, dv, cross(du, dv), least)
-    a = _guarded_root(a2, defined)
-    b = xp.where(defined, dot(du, dv), 0.0) / a
-    return _First(defined, a, b, _guarded_root(area2, defined) / a)
+    defined, a2, area2 = _regular(du, dv, area, least)
+    a, width = _guarded_root(a2, defined), _guarded_root(area2, defined)
+    return _First(defined, a, xp.where(defined, dot(du, dv), 0.0) / a, width / a)
 
 
 def _second_form(
@@ -100,10 +100,10 @@ def _tangent(s11: Array, s12: Array, s22: Array) -> Array:
     return xp.where(turned, xp.where(half < 0, -s12, s12) / below, 0.0)
 
 
-def principal_values(
-    du: Array, dv: Array, seconds: tuple[Array, Array, Array], normal: Array, least: Array
-) -> tuple[Array, Array]:
-    """Return k_min and k_max ``(n,)`` towards `normal`, NaN where undefined.
+def bent(
+    du: Array, dv: Array, seconds: tuple[Array, Array, Array], least: Array
+) -> tuple[Array, Array, Array]:
+    """Return unit normals ``(3, n)``, k_min and k_max ``(n,)`` towards them; NaN if undefined.
 
     Parameters
     ----------
@@ -111,17 +111,18 @@ def principal_values(
         ``(3, n)`` tangents.
     seconds : tuple of array
         duu, duv and dvv, each ``(3, n)``.
-    normal : array
-        ``(3, n)`` unit normals of either side.
     least : array
         ``(2, n)`` as in `unit_normal`.
     """
     xp = namespace(du)
-    first = _first_form(du, dv, least)
+    area = cross(du, dv)
+    first = _first_form(du, dv, area, least)
+    normal = area / (first.a * first.c)
     s11, s12, s22 = _second_form(first, seconds, normal)
     shift = _tangent(s11, s12, s22) * s12
     k1, k2 = s11 - shift, s22 + shift
     return (
+        xp.where(first.defined, normal, xp.nan),
         xp.where(first.defined, xp.minimum(k1, k2), xp.nan),
         xp.where(first.defined, xp.maximum(k1, k2), xp.nan),
     )
@@ -130,9 +131,17 @@ def principal_values(
 def principal(
     du: Array, dv: Array, seconds: tuple[Array, Array, Array], normal: Array, least: Array
 ) -> Principal:
-    """Return principal curvatures and directions; see `principal_values`."""
+    """Return principal curvatures towards `normal`, and their directions.
+
+    Parameters
+    ----------
+    du, dv, seconds, least
+        As in `bent`.
+    normal : array
+        ``(3, n)`` unit normals of either side.
+    """
     xp = namespace(du)
-    first = _first_form(du, dv, least)
+    first = _first_form(du, dv, cross(du, dv), least)
     s11, s12, s22 = _second_form(first, seconds, normal)
     tangent = _tangent(s11, s12, s22)
     k1, k2 = s11 - tangent * s12, s22 + tangent * s12

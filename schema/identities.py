@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -96,13 +95,13 @@ def read_ids(storage: Storage, files: Sequence[FileEntry]) -> npt.NDArray[np.int
     """
     found: list[npt.NDArray[np.int64]] = [np.empty(0, np.int64)]
     for table in ("models", "failures"):
-        sources = [storage.open(e.path) for e in files if e.table == table and e.rows]
-        if not sources:
+        paths = [e.path for e in files if e.table == table and e.rows]
+        if not paths:
             continue
         try:
             # polars reads 2,000 files twice as fast, but its threads do not survive a fork
             read = _read_by_polars if storage.is_local and not _is_forked else _read_by_arrow
-            found.append(read(sources, only_fatal=table == "failures"))
+            found.append(read(storage, paths, only_fatal=table == "failures"))
         except (OSError, ValueError, RuntimeError) as error:
             raise LakeFormatError(
                 f"cannot read the models of {storage.name} ({error}): run breplake verify"
@@ -110,11 +109,13 @@ def read_ids(storage: Storage, files: Sequence[FileEntry]) -> npt.NDArray[np.int
     return np.concatenate(found)
 
 
-def _read_by_polars(sources: Sequence[Any], *, only_fatal: bool) -> npt.NDArray[np.int64]:
+def _read_by_polars(
+    storage: Storage, paths: Sequence[str], *, only_fatal: bool
+) -> npt.NDArray[np.int64]:
     import polars as pl
 
     frame = pl.scan_parquet(
-        list(sources), glob=False, hive_partitioning=False,
+        [storage.path(path) for path in paths], glob=False, hive_partitioning=False,
         missing_columns="insert", extra_columns="ignore",
     )  # fmt: skip
     if only_fatal:
@@ -125,16 +126,20 @@ def _read_by_polars(sources: Sequence[Any], *, only_fatal: bool) -> npt.NDArray[
         raise ValueError(str(error)) from error
 
 
-def _read_by_arrow(sources: Sequence[Any], *, only_fatal: bool) -> npt.NDArray[np.int64]:
-    def read(source: Any) -> npt.NDArray[np.int64]:
-        with pq.ParquetFile(source) as file:
-            rows = file.read(columns=["model_id", *["fatal"][:only_fatal]], use_threads=False)
+def _read_by_arrow(
+    storage: Storage, paths: Sequence[str], *, only_fatal: bool
+) -> npt.NDArray[np.int64]:
+    columns = ["model_id", "fatal"] if only_fatal else ["model_id"]
+
+    def read(path: str) -> npt.NDArray[np.int64]:
+        with pq.ParquetFile(storage.open(path)) as file:
+            rows = file.read(columns=columns, use_threads=False)
         rows = rows.filter(rows.column("fatal")) if only_fatal else rows
         ids: npt.NDArray[np.int64] = rows.column("model_id").to_numpy()
         return ids
 
     with ThreadPoolExecutor(8) as pool:
-        return np.concatenate(list(pool.map(read, sources)))
+        return np.concatenate(list(pool.map(read, paths)))
 
 
 _is_forked = False

@@ -18,7 +18,13 @@ from breplake.schema.tables import MODELS, TABLES
 
 __all__ = ["rewrite_shard"]
 
-_COUNTS: Final = {"vertex": "n_vertices", "normal": "n_normals", "face": "n_faces"}
+_COUNTS: Final = {
+    "vertex": "n_vertices",
+    "normal": "n_normals",
+    "face": "n_faces",
+    "patch": "n_patches",
+    "curve": "n_curves",
+}
 """Column of ``models`` that counts a model's rows along an axis of the arrays."""
 
 Chosen = Callable[[pa.ChunkedArray], pa.ChunkedArray]
@@ -75,21 +81,25 @@ def _placed(
 ) -> Iterator[pa.Table]:
     """Give the rows of ``models`` their new shard and places in its arrays."""
     rows = [row | {"shard": name} for part in parts for row in part.to_pylist()]
-    if arrays is not None and any(row["vertex_offset"] is not None for row in rows):
+    if arrays is not None and any(_stored(row) for row in rows):
         _copy_arrays(rows, arrays, target.array_path(name))
     if rows:
         yield MODELS.from_rows(rows)
 
 
+def _stored(row: dict[str, Any]) -> list[str]:
+    """Return the arrays that a model has."""
+    return [n for n, spec in ARRAYS.items() if row[f"{spec.axis}_offset"] is not None]
+
+
 def _copy_arrays(rows: list[dict[str, Any]], source: Path, path: Path) -> None:
     reader = ArrayShardReader(source)
-    with ArrayShardWriter(path) as writer:
+    with ArrayShardWriter(path, reader.grid) as writer:
         for row in rows:
-            if row["vertex_offset"] is None:
-                continue
             blocks = {}
-            for name, spec in ARRAYS.items():
-                start = row[f"{spec.axis}_offset"]
-                blocks[name] = reader.read(name, start, start + row[_COUNTS[spec.axis]])
-            offsets = writer.append(blocks)
-            row |= {f"{axis}_offset": getattr(offsets, axis) for axis in _COUNTS}
+            for name in _stored(row):
+                axis = ARRAYS[name].axis
+                start = row[f"{axis}_offset"]
+                blocks[name] = reader.read(name, start, start + row[_COUNTS[axis]])
+            if blocks:
+                row |= writer.append(blocks).columns()

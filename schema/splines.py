@@ -25,6 +25,7 @@ __all__ = [
     "SplineCurves",
     "SplineSurfaces",
     "basis_functions",
+    "divided",
 ]
 
 
@@ -150,8 +151,8 @@ class SplineCurves:
         origin = points[0]
         points = [(p - origin) * w for p, w in zip(points, weights, strict=True)]
         index = indices(1, order)
-        above, below = basis.sums(points, order), basis.sums(weights, order)
-        return _divided(index, above, below, origin + centre)
+        jet = divided(index, basis.sums(points, order), basis.sums(weights, order))
+        return [jet[0] + (origin + centre), *jet[1:]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,7 +207,48 @@ class SplineSurfaces:
         above = _sums(u_basis, v_basis, points, order)
         below = _sums(u_basis, v_basis, weights, order)
         tops, bottoms = ([part[i] for i in index] for part in (above, below))
-        return _divided(index, tops, bottoms, origin[:, 0] + centre)
+        first, *rest = divided(index, tops, bottoms)
+        return [first + (origin[:, 0] + centre), *rest]
+
+    def derivatives(
+        self,
+        row: Ints,
+        u: Floats,
+        v: Floats,
+        degrees: tuple[int, int],
+        rational: bool,
+        periodic: tuple[bool, bool],
+    ) -> tuple[Floats, Floats]:
+        """Return all derivatives that do not vanish, of weighted points and weights.
+
+        Parameters
+        ----------
+        row, u, v, degrees, rational, periodic
+            As for `evaluate`; numpy only.
+
+        Returns
+        -------
+        table : numpy.ndarray
+            ``(u_degree + 1, v_degree + 1, 3 or 4, n)`` by how often u and v are derived.
+        origin : numpy.ndarray
+            ``(3, n)`` what was taken off the points.
+        """
+        p, q = degrees
+        u_numbers, u_basis = self.u_knots.locate(row, u, p, periodic[0], p)
+        v_numbers, v_basis = self.v_knots.locate(row, v, q, periodic[1], q)
+        width, start = gather(self.v_knots.poles, row), gather(self.poles.start, row)
+        lines = np.stack([start + number * width for number in u_numbers])
+        points, weights = self.poles.gathered([lines + number for number in v_numbers], rational)
+        origin = points[0][:, :1]
+        poles = [part - origin for part in points]
+        if rational:
+            pairs = zip(poles, weights, strict=True)
+            poles = [np.concatenate([part * w, w[None]]) for part, w in pairs]
+        table = np.empty((p + 1, q + 1, len(poles[0]), len(row)))
+        for j, line in enumerate(v_basis.sums(poles, q)):
+            for i, part in enumerate(u_basis.sums([line[:, k] for k in range(p + 1)], p)):
+                table[i, j] = part
+        return table, origin[:, 0] + gather(self.poles.centre, row)
 
 
 def _sums(u_basis: Basis, v_basis: Basis, poles: list[Array], order: int) -> Series:
@@ -219,10 +261,15 @@ def _sums(u_basis: Basis, v_basis: Basis, poles: list[Array], order: int) -> Ser
     return found
 
 
-def _divided(
-    index: tuple[Index, ...], above: list[Array], below: list[Array], origin: Array
-) -> list[Array]:
-    """Divide weighted points by their weights, and put back what was taken off the points."""
-    jet = quotient(dict(zip(index, above, strict=True)), dict(zip(index, below, strict=True)))
-    first, *rest = jet.values()
-    return [first + origin, *rest]
+def divided(index: tuple[Index, ...], above: list[Array], below: list[Array]) -> list[Array]:
+    """Divide weighted points by their weights, and their derivatives by Leibniz' rule.
+
+    Parameters
+    ----------
+    index : tuple of Index
+        How often each part is derived.
+    above, below : list of array
+        Weighted points ``(dim, n)`` and weights ``(n,)``, each with derivatives.
+    """
+    parts = (dict(zip(index, part, strict=True)) for part in (above, below))
+    return list(quotient(*parts).values())

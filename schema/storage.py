@@ -13,6 +13,7 @@ import re
 import shutil
 from collections.abc import Iterator
 from datetime import datetime
+from io import BytesIO
 from pathlib import Path, PurePosixPath
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
@@ -203,9 +204,9 @@ class Storage:
                 yield StoredFile(f"{folder}/{item.name}", 0, item.stat().st_mtime)
 
     def remove(self, path: str) -> None:
-        """Remove a file, or a local folder with all that is in it; it may be gone already."""
+        """Remove a file, or a folder with all that is in it; it may be gone already."""
         if self._local is None:
-            obstore.delete(self._store, path)
+            obstore.delete(self._store, [path, *(file.path for file in self.files(path))])
             return
         target = self.path(path)
         if target.is_dir() and not target.is_symlink():
@@ -239,11 +240,9 @@ class Storage:
             digest.update(block)
         return digest.hexdigest()
 
-    def open(self, path: str) -> Any:
-        """Return the file `path` for random reads: a path where it is local, else a stream."""
-        return (
-            self.path(path) if self._local is not None else obstore.open_reader(self._store, path)
-        )
+    def open(self, path: str) -> Path | BytesIO:
+        """Return the file `path` for random reads: its path where it is local, else its bytes."""
+        return self.path(path) if self._local is not None else BytesIO(self.read(path))
 
     def upload(self, source: Path, path: str) -> None:
         """Copy a local file to `path`; it appears there whole."""

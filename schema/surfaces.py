@@ -185,7 +185,7 @@ class SurfaceSet:
             If a row is outside the table or the shapes do not match.
         """
         rows, (us, vs) = query(len(self.known), self.size, row, u, v)
-        out = surface_points(self, rows, us, vs, self._batches)
+        out = surface_points(self, rows, us, vs)
         return SurfacePoints(out[0:3].T, out[3:6].T, out[6], out[7])
 
     def evaluate(self, row: Any, u: Any, v: Any) -> SurfaceJet:
@@ -215,7 +215,7 @@ class SurfaceSet:
             return self.jet(group, selected(rows, index), us[index], vs[index])
 
         groups = gather(self.group, rows)
-        out = grouped(groups, len(us), self._batches, work, 18, self.size)
+        out = grouped(groups, len(us), self.batches, work, 18, self.size)
         point, du, dv, duu, duv, dvv = (out[i : i + 3].T for i in range(0, 18, 3))
         least = namespace(us).broadcast_to(gather(self.least, rows), (2, len(us))).T
         umbilic = self._sphere_curvature(rows, groups, vs)
@@ -223,7 +223,7 @@ class SurfaceSet:
         return SurfaceJet(point, du, dv, duu, duv, dvv, least, radial, umbilic)
 
     @property
-    def _batches(self) -> list[int]:
+    def batches(self) -> list[int]:
         """Points of each kind whose temporaries stay in the cache."""
         return [min(_BATCH, _SPLINE_BATCH // (kind.degrees[0] + 1)) for kind in self.kinds]
 

@@ -18,7 +18,7 @@ import pyarrow as pa
 import typer
 
 from breplake.errors import InputError
-from breplake.schema.forms import principal_values, unit_normal
+from breplake.schema.forms import bent
 from breplake.schema.jets import SurfacePoints
 from breplake.schema.namespace import Bools, Floats, Ints
 from breplake.schema.surfaces import SurfaceSet
@@ -194,8 +194,7 @@ def _extended(surfaces: SurfaceSet, row: Ints, u: Floats, v: Floats) -> SurfaceP
     wide, parameters = mapped(surfaces, widened), (widened(u), widened(v))
     point, du, dv, *seconds = wide.jet(int(surfaces.group[row[0]]), row, *parameters)
     least = np.zeros((2, len(u)))
-    normal = unit_normal(du, dv, least)
-    bends = principal_values(du, dv, (seconds[0], seconds[1], seconds[2]), normal, least)
+    normal, *bends = bent(du, dv, (seconds[0], seconds[1], seconds[2]), least)
     return SurfacePoints(np.broadcast_to(point, (3, len(u))).T, normal.T, *bends)
 
 

@@ -53,9 +53,8 @@ def abs_surface(row: Row) -> Any | None:
         return None
     bounds = np.array([[row["u_min"], row["u_max"]], [row["v_min"], row["v_max"]]])
     name = "BSplineSurface" if row["type"] == "BSpline" else row["type"]
-    return getattr(import_module("abs.surface"), name)(
-        None, trim_domain=bounds, transform=_NOWHERE, **given
-    )
+    made = getattr(import_module("abs.surface"), name)
+    return made(None, trim_domain=bounds, transform=_NOWHERE, **given)
 
 
 def _vector(value: Mapping[str, float]) -> Floats:

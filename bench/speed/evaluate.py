@@ -149,11 +149,11 @@ def _abs_contestants(
     each = len(uv) // max(table.num_rows, 1)
     for i, row in enumerate(table.to_pylist() if abs_available() else []):
         part = uv[i * each : (i + 1) * each]
-        theirs = abs_surface(row)
-        if theirs is None:
-            figures.abs_unknown += 1
-            continue
         try:
+            theirs = abs_surface(row)
+            if theirs is None:
+                figures.abs_unknown += 1
+                continue
             with np.errstate(all="ignore"):
                 point = abs_points(theirs, part, True)[0]
         except (RuntimeError, ValueError, IndexError, TypeError, NameError):
@@ -232,11 +232,17 @@ def report(figures: dict[str, Figures]) -> list[str]:
             _ratio(ns.get("abs"), ns.get("numpy on the same")),
         )
         cells = [f"{ns[n]:15.0f}" if n in ns else f"{'-':>15}" for n in names]
-        lines.append(
-            f"{kind:<11}{one.patches:>9}{one.compared:>8}{''.join(cells)}{ratios[0]}{ratios[1]}"
-        )
-    speed = 1e3 / figures["all"].nanoseconds["numpy"]
+        start = f"{kind:<11}{one.patches:>9}{one.compared:>8}"
+        lines.append(start + "".join(cells) + "".join(ratios))
+    everything = figures["all"]
+    speed = 1e3 / everything.nanoseconds["numpy"]
     lines.append(f"numpy evaluates {speed:.1f} million points a second")
+    if everything.compared:
+        lines.append(
+            f"left out for abs-hdf5: {everything.abs_unknown} patches of types that it lacks, "
+            f"{everything.abs_failed} where it fails, {everything.abs_elsewhere} where its points "
+            "lie elsewhere"
+        )
     if bandwidth := _bandwidth():
         for name, width in (("cuda float64", 8), ("cuda float32", 4)):
             each = everything.nanoseconds[name]

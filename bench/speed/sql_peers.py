@@ -158,7 +158,7 @@ def peers(
         frame = question.frame(lake.scan("models"), lake.scan("patches"), identity)
         return frame.collect().rows()
 
-    found = {"breplake": breplake, "polars": polars}
+    found: dict[str, Callable[[Question], Rows]] = {"breplake": breplake, "polars": polars}
     if database is not None:
         connection = sqlite3.connect(f"file:{database}?mode=ro", uri=True)
 
@@ -178,7 +178,7 @@ def scan(lake: Lake, question: Question) -> int:
 
     values = 0
     for table, columns in question.touched.items():
-        files = pyarrow.dataset.dataset(lake.files(table), format="parquet")
+        files = pyarrow.dataset.dataset(lake.sources(table), format="parquet")
         for batch in files.to_batches(columns=list(columns), batch_size=1 << 17):
             values += batch.num_rows * batch.num_columns
     return values
@@ -196,9 +196,9 @@ def make_sqlite(lake: Lake, path: Path) -> None:
     """
     columns: dict[str, list[str]] = {}
     for question in QUESTIONS:
-        for table, names in question.touched.items():
+        for table, touched in question.touched.items():
             known = columns.setdefault(table, [])
-            known += [name for name in names if name not in known]
+            known += [name for name in touched if name not in known]
     path.unlink(missing_ok=True)
     with closing(sqlite3.connect(path)) as connection:
         connection.execute("PRAGMA journal_mode = off")

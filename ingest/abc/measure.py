@@ -34,13 +34,14 @@ def _rule(points: int) -> tuple[_Floats, _Floats]:
 _FINE, _COARSE = _rule(4), _rule(3)
 _LINE, _COARSE_LINE = _rule(8), _rule(5)
 
-_SURE: Final = 1e-8
+_SURE: Final = 1e-7
 """Relative difference of two rules at which the finer one is sure of much more."""
 
-_NEGLIGIBLE: Final = 1e-11
+_NEGLIGIBLE: Final = 1e-10
 """Share of a patch's area that does not matter in a triangle or on a piece of its rim."""
 
-_HALVINGS: Final = 8
+_HALVINGS: Final = 3
+"""Across a knot, where a second derivative jumps, each gains a digit."""
 
 _BLOCK: Final = 8_192
 """Squares that are integrated together."""
@@ -48,9 +49,12 @@ _BLOCK: Final = 8_192
 _COLUMNS: Final = 8
 """Integrals: of 1, x, y, z over the area, of 1, x, y, z over the volume."""
 
-_LOOSE: Final = 0.25
-"""A patch whose exact area is by this share another than that of its flat triangles is meshed
-too coarsely to tell how it lies in (u, v)."""
+_LOOSE: Final = 0.45
+"""A side that covers this share of a period may as well go round the other way: the patch is
+meshed too coarsely to tell how it lies in (u, v)."""
+
+_POLE: Final = 1e-6
+"""Share of the greatest length of a derivative on a patch at which one vanishes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,11 +111,9 @@ def masses(mesh: Mesh, geometry: ExactGeometry, used: Iterable[Use], n_patches: 
     enough = _NEGLIGIBLE * flat[:, 0]
     total += signs * _integral(corners, geometry, inner, enough)
     total += signs * _integral(rim, geometry, np.arange(len(rim.patch)), enough)
-    loose = ~(np.abs(total[:, 0] - flat[:, 0]) <= _LOOSE * flat[:, 0])
+    loose = curved & (np.bincount(corners.patch, corners.is_wide, minlength=n_patches) > 0)
     total = np.where(loose[:, None], flat, total)
-    low, high = np.full((n_patches, 2), np.inf), np.full((n_patches, 2), -np.inf)
-    np.minimum.at(low, np.repeat(corners.patch, 3), corners.uv.reshape(-1, 2))
-    np.maximum.at(high, np.repeat(corners.patch, 3), corners.uv.reshape(-1, 2))
+    low, high = corners.ranges(geometry, rim.seams(), n_patches)
     return Masses(
         *(total[:, 0], total[:, 1:4], total[:, 4], total[:, 5:8]), low=low, high=high, loose=loose
     )
@@ -194,18 +196,23 @@ class _Corners:
         ``(f, 3, 2)``, across seams too.
     free : numpy.ndarray
         ``(f, 2)`` bool: u or v of the last corner may be any.
+    is_wide : numpy.ndarray
+        ``(f,)`` bool: a side may as well go round the other way.
     """
 
     patch: _Ints
     vertex: _Ints
     uv: _Floats
     free: _Bools
+    is_wide: _Bools
 
     @classmethod
     def of(cls, mesh: Mesh, geometry: ExactGeometry) -> _Corners:
         jet = geometry.jet(mesh.pair_patch, *mesh.uv.T)
         speed = np.column_stack([np.linalg.norm(jet.du, axis=1), np.linalg.norm(jet.dv, axis=1)])
-        pole = speed <= jet.least  # (m, 2)
+        usual = np.zeros((int(mesh.pair_patch.max()) + 1, 2))
+        np.maximum.at(usual, mesh.pair_patch, np.nan_to_num(speed))
+        pole = speed <= _POLE * usual[mesh.pair_patch]  # (m, 2)
         patch = mesh.patch
         pair = mesh.pairs(np.repeat(patch, 3), mesh.triangles.ravel()).reshape(-1, 3)
         first = (pole[pair].any(axis=2).argmax(axis=1) + 1) % 3  # the corner after the pole
@@ -219,7 +226,33 @@ class _Corners:
         # a closed surface that is not periodic ends at its bounds: on which side, all corners say
         middle = uv.mean(axis=1)
         uv += (periods.inside(patch, middle) - middle)[:, None]
-        return cls(patch, mesh.pair_vertex[pair], uv, pole[pair[:, 2]])
+        free = pole[pair[:, 2]]
+        sides = np.abs(uv - np.roll(uv, -1, axis=1))  # (f, 3, 2)
+        sides[:, 1:] = np.where(free[:, None], 0.0, sides[:, 1:])
+        wide = (sides >= _LOOSE * periods.period[patch][:, None]).any(axis=(1, 2))
+        return cls(patch, mesh.pair_vertex[pair], uv, free, wide)
+
+    def ranges(
+        self, geometry: ExactGeometry, seams: _Floats, n_patches: int
+    ) -> tuple[_Floats, _Floats]:
+        """Return least and greatest parameters of patches, ``(p, 2)`` each.
+
+        Around a period a patch begins at its seam ``(p, 2)`` or, where that is NaN, behind the
+        widest gap between its triangles.
+        """
+        low, high = np.full((n_patches, 2), np.inf), np.full((n_patches, 2), -np.inf)
+        for patch in np.unique(self.patch):
+            uv = self.uv[self.patch == patch].copy()  # (f, 3, 2)
+            for axis in (0, 1):
+                period = geometry.periods.period[patch, axis]
+                if np.isfinite(period):
+                    middle = uv[:, :, axis].mean(axis=1)
+                    start = seams[patch, axis]
+                    start = _behind_gap(middle, period) if np.isnan(start) else start
+                    turns = np.floor((middle - start) / period)
+                    uv[:, :, axis] -= (turns * period)[:, None]
+            low[patch], high[patch] = uv.min(axis=(0, 1)), uv.max(axis=(0, 1))
+        return low, high
 
     @property
     def turn(self) -> _Floats:
@@ -290,6 +323,27 @@ class _Rim:
         stop = np.where(free & (side == 1)[:, None], start, stop)
         return cls(ids[:, 0], ids[:, 1], t, start, stop, geometry)
 
+    def seams(self) -> _Floats:
+        """Return the constant u or v of a seam of each patch, ``(p, 2)``; NaN without one."""
+        n_patches = len(self.geometry.is_plane)
+        found = np.full((n_patches, 2), np.nan)
+        keys, times = np.unique(
+            np.column_stack([self.patch, self.curve]), axis=0, return_counts=True
+        )
+        segments = {(int(p), int(c)): int(n) for (p, c), n in zip(keys, times, strict=True)}
+        for (patch, curve), count in segments.items():
+            mine = np.flatnonzero((self.patch == patch) & (self.curve == curve))
+            if count % 2 or len(np.unique(self.t[mine].mean(axis=1))) != count // 2:
+                continue  # not run along both ways
+            for axis in (0, 1):
+                period = self.geometry.periods.period[patch, axis]
+                if np.isfinite(period):
+                    value = self.start[mine, axis]
+                    off = np.abs(value - value[0] - period * np.round((value - value[0]) / period))
+                    if (off <= _POLE * period).all():
+                        found[patch, axis] = value.min()
+        return found
+
     def at(self, row: _Ints, s: _Floats, t: _Floats) -> tuple[_Floats, _Floats]:
         """Map s along the chord and t from there to the curve; see `_Maps`.
 
@@ -307,6 +361,14 @@ class _Rim:
         away = np.column_stack([u, v]) - chord
         along = (1 - t)[:, None] * (stop - start) + t[:, None] * slope
         return chord + t[:, None] * away, -_cross(along, away)
+
+
+def _behind_gap(values: _Floats, period: float) -> float:
+    """Return the first of values around a period behind their widest gap, less half of it."""
+    ordered = np.unique(np.mod(values, period))
+    gaps = np.diff(ordered, prepend=ordered[-1] - period)
+    widest = int(gaps.argmax())
+    return float(ordered[widest] - gaps[widest] / 2)
 
 
 def _sides(

@@ -260,7 +260,9 @@ def _mismatch(detail: str) -> InputError:
 
 def _off(pair: _Ints) -> InputError:
     patch, vertex = pair
-    return _mismatch(f"vertex {vertex} of the OBJ is not on surface {patch}, whose triangles use it")
+    return _mismatch(
+        f"vertex {vertex} of the OBJ is not on surface {patch}, whose triangles use it"
+    )
 
 
 def _find(pairs: _Ints, wanted: _Ints) -> _Ints:

@@ -113,7 +113,7 @@ def _faces(lines: Sequence[str]) -> tuple[_Ints, _Ints]:
     if len(words) != 3 * len(lines):
         raise _bad("it has faces that are no triangles")
     parts = [word.split("/") for word in words]
-    if len({len(part) for part in parts}) != 1 or not len(parts[0]) in (1, 2, 3):
+    if len({len(part) for part in parts}) != 1 or len(parts[0]) not in (1, 2, 3):
         raise _bad("its faces are written in different ways")
     try:
         vertices = np.array([part[0] for part in parts], dtype=np.int64) - 1

@@ -94,9 +94,7 @@ def shape(
     n_loops = Counter((row["patch_id"], row["loop"]) for row in coedges)
     n_loops = Counter(patch for patch, _ in n_loops)
     parts, part_of, volume = _parts(features, mesh, used, found, stats)
-    coarse = float(np.abs(found.area[found.loose]).sum()) / 2
-    total = stats.mass("surface", float(found.area.sum()), coarse)
-    share = total / float(found.area.sum()) if found.area.sum() else 1.0
+    area, total = _areas(found, stats)
     patches = [
         row
         | {
@@ -107,7 +105,7 @@ def shape(
             "u_max": float(found.high[i, 0]),
             "v_min": float(found.low[i, 1]),
             "v_max": float(found.high[i, 1]),
-            "area": float(found.area[i] * share),
+            "area": float(area[i]),
             "n_loops": n_loops[i],
             "tolerance": float(gaps.patch[i]),
         }
@@ -117,6 +115,19 @@ def shape(
         part["area"] = sum(row["area"] for row in patches if row["part_id"] == part["part_id"])
     curves = _curves(features, mesh, geometry, truth, used, gaps)
     return Shape(parts, patches, curves, coedges, _corner_rows(mesh, gaps), total, volume)
+
+
+def _areas(found: Masses, stats: Stats) -> tuple[_Floats, float]:
+    """Return the areas of all patches, mm^2, and their sum, which is the stated one if it fits.
+
+    What patches differ from it is put down to those that the mesh is too coarse to tell.
+    """
+    exact, loose = float(found.area.sum()), found.loose
+    total = stats.mass("surface", exact, float(np.abs(found.area[loose]).sum()) / 2)
+    blamed = loose if loose.any() else np.ones(len(loose), dtype=bool)
+    share = float(found.area[blamed].sum())
+    factor = 1.0 + (total - exact) / share if share else 1.0
+    return np.where(blamed, found.area * factor, found.area), total
 
 
 @dataclass(frozen=True, slots=True)

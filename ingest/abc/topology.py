@@ -87,7 +87,7 @@ def loops(mesh: Mesh, used: Iterable[Use]) -> list[tuple[Use, int, int]]:
         by_patch[use.patch].append(use)
     fans = _fans(mesh)
     found = []
-    for patch, mine in sorted(by_patch.items()):
+    for _, mine in sorted(by_patch.items()):
         rings = _rings(mesh, mine, fans)
         rings.sort(key=lambda ring: -_extent(mesh, ring))
         for loop, ring in enumerate(rings):

@@ -40,7 +40,8 @@ def write_step(
     """Write a model as STEP (AP214).
 
     A part that is placed several times becomes one product with several instances, unless its
-    instances differ in names or colours.
+    instances differ in names or colours. In an assembly, readers call a part without a name by
+    the number of its instance.
 
     Parameters
     ----------
@@ -104,11 +105,10 @@ class _Document:
         root = self._tool.NewShape()
         set_name(root, self._name)
         for item, part in zip(self._items, parts, strict=False):
-            location = item.Location()
-            if location.Transformation().ScaleFactor() != 1:
-                # STEP places by rigid motions alone.
-                item, location = _baked(item), TopLoc_Location()
-            product = self._product(item, part, patches)
+            # STEP places by rigid motions alone: others become part of the geometry.
+            rigid = item.Location().Transformation().ScaleFactor() == 1
+            product = self._product(item, part, patches, bake=not rigid)
+            location = item.Location() if rigid else TopLoc_Location()
             set_name(self._tool.AddComponent(root, product, location), part["name"] or "")
         if loose:
             product = self._tool.AddShape(_compound(loose), False)
@@ -116,9 +116,12 @@ class _Document:
             set_name(self._tool.AddComponent(root, product, TopLoc_Location()), "")
         self._tool.UpdateAssemblies()
 
-    def _product(self, item: Any, part: _Row, patches: Sequence[_Row]) -> Any:
+    def _product(
+        self, item: Any, part: _Row, patches: Sequence[_Row], *, bake: bool = False
+    ) -> Any:
         """Return the label of a part's shape, painted and named like this instance of it."""
-        from OCP.BRepBuilderAPI import BRepBuilderAPI_Copy
+        from OCP.BRepBuilderAPI import BRepBuilderAPI_Copy, BRepBuilderAPI_Transform
+        from OCP.ShapeCustom import ShapeCustom
         from OCP.TopAbs import TopAbs_ShapeEnum
         from OCP.TopLoc import TopLoc_Location
 
@@ -126,13 +129,21 @@ class _Document:
         rows = [patches[i - 1] if i else {} for i in found]
         looks = tuple((row.get("name"), row.get("colour")) for row in rows)
         key = (part["shape"], str(item.Orientation()), part["name"], part["colour"], looks)
-        if key in self._products:
+        if not bake and key in self._products:
             return self._products[key]
         shape = item.Located(TopLoc_Location())
-        if part["shape"] in self._used:
+        if bake:
+            motion = item.Location().Transformation()
+            shape = BRepBuilderAPI_Transform(shape, motion, True).Shape()
+        elif part["shape"] in self._used:
             shape = BRepBuilderAPI_Copy(shape, False).Shape()
-        self._used.add(part["shape"])
-        label = self._products[key] = self._tool.AddShape(shape, False)
+        # STEP has no left-handed axes. What the writer would replace by itself, it would not
+        # find again to be painted.
+        shape = ShapeCustom.DirectFaces_s(shape)
+        label = self._tool.AddShape(shape, False)
+        if not bake:
+            self._used.add(part["shape"])
+            self._products[key] = label
         set_name(label, part["name"] or "")
         self._paint(shape, part["colour"], looks)
         return label
@@ -148,14 +159,6 @@ class _Document:
             own = None if own is None or own == colour else _colour(own)
             if name or own is not None:
                 self.paints.append(Paint(face, name or "", own, shape))
-
-
-def _baked(item: Any) -> Any:
-    from OCP.BRepBuilderAPI import BRepBuilderAPI_Transform
-    from OCP.TopLoc import TopLoc_Location
-
-    motion = item.Location().Transformation()
-    return BRepBuilderAPI_Transform(item.Located(TopLoc_Location()), motion, True).Shape()
 
 
 def _compound(shapes: Sequence[Any]) -> Any:

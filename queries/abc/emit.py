@@ -119,7 +119,8 @@ def _numbers(values: list[Any]) -> str | None:
 
 def _scalar(value: Any) -> str:
     if type(value) is float:  # the many; a subclass may print otherwise
-        return _BARE.sub(r"\1.0e", repr(value)) if math.isfinite(value) else _NOT_FINITE[repr(value)]
+        text = repr(value)
+        return _BARE.sub(r"\1.0e", text) if math.isfinite(value) else _NOT_FINITE[text]
     if value is None:
         return "null"
     if isinstance(value, bool):

@@ -14,13 +14,23 @@ from breplake.queries.check.ids import n_vertices
 from breplake.queries.check.rules import Measure, lake_rule, model_rule, place
 from breplake.queries.check.view import MISSING, ModelView
 from breplake.schema.array_reader import ArrayShardReader
-from breplake.schema.arrays import ARRAYS
+from breplake.schema.arrays import ARRAYS, GRID_ARRAYS, MESH_ARRAYS
 from breplake.schema.snapshot import ARRAYS_TABLE
+from breplake.schema.uvgrid import uv_grids
 
 __all__ = ["model_arrays"]
 
-_OFFSETS: Final = {"vertex": "n_vertices", "normal": "n_normals", "face": "n_faces"}
+_OFFSETS: Final = {
+    "vertex": "n_vertices",
+    "normal": "n_normals",
+    "face": "n_faces",
+    "patch": "n_patches",
+    "curve": "n_curves",
+}
 """Axis of an array to the column of ``models`` with its rows."""
+
+_GRID_AXES: Final = ("patch", "curve")
+_ROUNDING: Final = 1e-5  # of a coordinate: twice float32's, for another version's last bits
 
 _FROM_TABLES: Final[dict[str, Callable[[ModelView], NDArray[Any]]]] = {
     "position": lambda view: view.primary_points,
@@ -36,10 +46,15 @@ _FROM_TABLES: Final[dict[str, Callable[[ModelView], NDArray[Any]]]] = {
 
 
 def model_arrays(reader: ArrayShardReader, row: dict[str, Any]) -> dict[str, NDArray[Any]] | None:
-    """Read a model's slice of every array; None if that cannot be done."""
+    """Read a model's slice of every array that it has; None if that cannot be done.
+
+    The arrays of the mesh must be there, UV-grids need not.
+    """
     arrays = {}
     for name, spec in ARRAYS.items():
         start, rows = row[f"{spec.axis}_offset"], row[_OFFSETS[spec.axis]]
+        if start is None and spec.grid:
+            continue
         if start is None or rows is None:
             return None
         try:
@@ -76,7 +91,8 @@ def arrays(view: ModelView) -> Iterator[Measure]:
     if view.arrays is None:
         yield Measure.of_truth([False], lambda _: "the arrays cannot be read at these offsets")
         return
-    for name, spec in ARRAYS.items():
+    for name in MESH_ARRAYS:
+        spec = ARRAYS[name]
         found = view.arrays[name].reshape(-1, spec.columns or 1)
         with np.errstate(over="ignore"):
             wanted = _FROM_TABLES[name](view).astype(spec.dtype).reshape(-1, spec.columns or 1)
@@ -90,17 +106,40 @@ def arrays(view: ModelView) -> Iterator[Measure]:
         yield Measure.of_truth(same.all(axis=1), place("{n} row {i}", n=name))
 
 
+@model_rule(
+    "uv-grids",
+    "UV-grids hold points, normals and masks of the patches, points and tangents of the curves",
+    needs=("ids-dense",),
+)
+def grids(view: ModelView) -> Iterator[Measure]:
+    """Measure each number of the UV-grids against the closed forms, in float32."""
+    stored = {} if view.arrays is None else view.arrays
+    for name, found in stored.items():
+        if name in GRID_ARRAYS:
+            wanted = uv_grids(view.tables, found.shape[1])[name]
+            if found.shape != wanted.shape:
+                words = f"{name}: shape {found.shape} instead of {wanted.shape}"
+                yield Measure.of_truth([False], place(words))
+                continue
+            same = np.isclose(found, wanted, rtol=_ROUNDING, atol=_ROUNDING, equal_nan=True)
+            whole = same.reshape(len(same), -1).all(axis=1)
+            yield Measure.of_truth(whole, place("{n} row {i}", n=name))
+
+
 @lake_rule("offsets", "models lie in a shard's arrays one behind the other, without gaps")
 def offsets(view: LakeView) -> Iterator[Measure]:
     """Measure each model's offsets, and the lengths of the arrays."""
     columns = ["collection", "name", *_OFFSETS.values(), *(f"{a}_offset" for a in _OFFSETS)]
     rows = view.read("models", columns).to_pylist()
     for shard in sorted({e.shard for e in view.tables}):
-        models = [r for r in rows if r["file_shard"] == shard and r["n_vertices"] is not None]
+        models = [r for r in rows if r["file_shard"] == shard]
         ends = dict.fromkeys(_OFFSETS, 0)
         for row in models:
             for axis, count in _OFFSETS.items():
                 start = row[f"{axis}_offset"]
+                # a model may have no mesh, and a lake no UV-grids
+                if start is None and (axis in _GRID_AXES or row["n_vertices"] is None):
+                    continue
                 words = f"{axis}_offset {start} instead of {ends[axis]}"
                 name = f"{row['collection']}/{row['name']}"
                 yield Measure.of_truth([start == ends[axis]], place(words), name)
@@ -116,7 +155,8 @@ def _lengths(view: LakeView, shard: str, ends: dict[str, int]) -> Iterator[Measu
         yield Measure.of_truth([ends["vertex"] == 0], place(words), f"shard {shard}")
         return
     reader = ArrayShardReader(view.path(entry))
-    for name, spec in ARRAYS.items():
+    for name in (*MESH_ARRAYS, *(GRID_ARRAYS if reader.grid else ())):
+        spec = ARRAYS[name]
         try:
             rows = reader.rows(name)
         except BreplakeError as error:

@@ -38,5 +38,9 @@ SELECT
 FROM models
 JOIN edges USING (model_id)
 JOIN loops USING (model_id)
-WHERE is_closed AND NOT is_odd AND n_shells > 0 AND euler % 2 = 0 AND genus >= greatest($min_genus, 0)
+WHERE is_closed
+    AND NOT is_odd
+    AND n_shells > 0
+    AND euler % 2 = 0
+    AND genus >= greatest($min_genus, 0)
 ORDER BY genus DESC, collection, name

@@ -13,7 +13,8 @@
 --   pitch (mm): rise of a turn, rounded to a micrometre
 --   handed: right or left
 --   helices: curves with that pitch
---   turns: turns of the longest of them
+--   turns: turns of the longest of them; kernels cut helices where they cross a seam
+--   all_turns: turns of all of them together
 --   least_radius (mm): radius of the innermost
 --   most_radius (mm): radius of the outermost
 WITH on_cylinders AS (
@@ -62,10 +63,11 @@ SELECT
     if((dv / du < 0) <> left_axes, 'left', 'right') AS handed,
     count(DISTINCT curve_id) AS helices,
     max(abs(du)) / (2 * pi()) AS turns,
+    sum(abs(du)) / (2 * pi()) AS all_turns,
     min(radius) AS least_radius,
     max(radius) AS most_radius
 FROM covered
 JOIN models AS m USING (model_id)
 GROUP BY model_id, pitch, handed
 HAVING turns >= $min_turns
-ORDER BY turns DESC, collection, name, pitch
+ORDER BY all_turns DESC, collection, name, pitch

@@ -45,16 +45,22 @@ main_axes AS (
 -- distance of centres from the main axis, and whether directions agree
 placed AS (
     SELECT
-        model_id, part_id, patch_id, type, area, m.location AS origin, m.axis AS axis,
-        abs(m.axis.x * z_axis.x + m.axis.y * z_axis.y + m.axis.z * z_axis.z) > 1 - 1e-9
-            AS is_parallel,
+        *,
+        abs(axis.x * z_axis.x + axis.y * z_axis.y + axis.z * z_axis.z) > 1 - 1e-9 AS is_parallel,
         sqrt(
-            pow((s.location.y - m.location.y) * m.axis.z - (s.location.z - m.location.z) * m.axis.y, 2)
-            + pow((s.location.z - m.location.z) * m.axis.x - (s.location.x - m.location.x) * m.axis.z, 2)
-            + pow((s.location.x - m.location.x) * m.axis.y - (s.location.y - m.location.y) * m.axis.x, 2)
+            pow(y * axis.z - z * axis.y, 2)
+            + pow(z * axis.x - x * axis.z, 2)
+            + pow(x * axis.y - y * axis.x, 2)
         ) < 1e-3 AS is_centred
-    FROM surfaces AS s
-    JOIN main_axes AS m USING (model_id, part_id)
+    FROM (
+        SELECT
+            model_id, part_id, patch_id, type, area, z_axis, m.location AS origin, m.axis AS axis,
+            s.location.x - m.location.x AS x,
+            s.location.y - m.location.y AS y,
+            s.location.z - m.location.z AS z
+        FROM surfaces AS s
+        JOIN main_axes AS m USING (model_id, part_id)
+    )
 ),
 outlines AS MATERIALIZED (
     SELECT model_id, e.patch_id, c.type, c.location AS centre

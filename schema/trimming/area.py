@@ -14,7 +14,7 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from breplake.schema.namespace import Bools, Floats, Ints, slices
-from breplake.schema.trimming.creases import Density
+from breplake.schema.trimming.density import Density
 from breplake.schema.trimming.loops import Arcs
 from breplake.schema.trimming.outline import Outlines
 from breplake.schema.trimming.pieces import Pieces, cut_at

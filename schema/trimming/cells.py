@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from breplake.schema.namespace import Bools, Floats, Ints, slices
-from breplake.schema.trimming.creases import Density
+from breplake.schema.trimming.density import Density
 from breplake.schema.trimming.pieces import Pieces
 
 __all__ = ["Cells", "bounded", "narrowed"]
@@ -58,7 +58,8 @@ class Cells:
     @property
     def mass(self) -> Floats:
         """Area that the bound stands for, ``(n,)`` mm^2."""
-        return self.bound * (self.box[1] - self.box[0]) * (self.box[3] - self.box[2])
+        size = (self.box[1] - self.box[0]) * (self.box[3] - self.box[2])
+        return np.asarray(self.bound * size)
 
     def take(self, index: Ints | Bools) -> Cells:
         """Return some of the cells."""
@@ -98,13 +99,13 @@ def bounded(density: Density, window: Floats) -> Cells:
         ``(4, n_patches)`` least and greatest u and v; NaN for patches without cells.
     """
     cells, done = _grid(density, window), []
-    scale = np.zeros(window.shape[1])
+    scale: Floats = np.zeros(window.shape[1])
     for level in range(_DEEPEST + 1):
         square, tail, axis = _series(density, cells)
         bound = np.sqrt(square[0] + _MARGIN * tail)
         cells = replace(cells, bound=bound)
         if level == 0:
-            scale = np.bincount(cells.patch, cells.mass, minlength=len(scale))
+            scale = np.asarray(np.bincount(cells.patch, cells.mass, minlength=len(scale)), float)
         with np.errstate(divide="ignore", invalid="ignore"):
             waste = 1 - np.sqrt(square[1]) / bound
         unclear = tail > _CLEAR * square[0]

@@ -151,7 +151,7 @@ def chained(arcs: Arcs, period: Floats) -> tuple[Arcs, Floats]:
 def _periods(distance: Floats, period: Floats) -> Floats:
     """Return the number of periods that brings points nearest; 0 where there is none."""
     ratio = distance / period
-    return np.round(np.where(np.isfinite(ratio), ratio, 0.0))
+    return np.asarray(np.round(np.where(np.isfinite(ratio), ratio, 0.0)))
 
 
 def closed(outlines: Outlines, arcs: Arcs, turns: Floats, period: Floats) -> tuple[Outlines, Arcs]:

@@ -73,17 +73,17 @@ class Outlines:
     @property
     def known(self) -> Bools:
         """Whether each curve can be evaluated, ``(n,)``."""
-        return self.source >= 0
+        return np.asarray(self.source >= 0)
 
     @property
     def projected(self) -> Bools:
         """Whether each curve is one in space, seen from a plane's normal, ``(n,)``."""
-        return self.source == _PROJECTED
+        return np.asarray(self.source == _PROJECTED)
 
     @property
     def straight(self) -> Bools:
         """Whether each curve is a straight line, ``(n,)``."""
-        straight = self.source == _SEGMENT
+        straight = np.asarray(self.source == _SEGMENT)
         for source, curves in ((_STORED, self.stored.curves), (_PROJECTED, self.space)):
             mine = np.flatnonzero(self.source == source)
             lines = np.array([kind.name == "Line" for kind in curves.kinds], dtype=bool)

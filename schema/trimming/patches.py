@@ -14,7 +14,7 @@ from breplake.schema.namespace import Bools, Floats
 from breplake.schema.periods import surface_kinds, surface_periods
 from breplake.schema.surfaces import SurfaceSet
 from breplake.schema.trimming.area import areas
-from breplake.schema.trimming.creases import Density
+from breplake.schema.trimming.density import Density
 from breplake.schema.trimming.loops import Arcs, chained, closed, coedge_arcs, natural
 from breplake.schema.trimming.nesting import oriented, settled
 from breplake.schema.trimming.outline import Outlines
@@ -90,7 +90,8 @@ class TrimmedPatches:
         arcs, turns = chained(arcs, period)
         outlines, arcs = closed(outlines, arcs, turns, period)
         winds = np.zeros(len(known), dtype=bool)
-        winds[arcs.patch[turns.any(axis=0)[arcs.loop]]] = True
+        winding = np.any(turns != 0, axis=0)
+        winds[arcs.patch[winding[arcs.loop]]] = True
         outlines, bare = _bare(outlines, patches, known, arcs)
         plain = Arcs.joined([arcs.take(~winds[arcs.patch]), bare]).renumbered()
         pieces = settled(cut(outlines, plain, len(known)), period)
@@ -161,9 +162,7 @@ class TrimmedPatches:
         return np.where(self.known, found, np.nan)
 
 
-def _bare(
-    outlines: Outlines, patches: pa.Table, known: Bools, arcs: Arcs
-) -> tuple[Outlines, Arcs]:
+def _bare(outlines: Outlines, patches: pa.Table, known: Bools, arcs: Arcs) -> tuple[Outlines, Arcs]:
     """Return the natural bounds of patches without loops, numbered after the other loops."""
     names = ("u_min", "u_max", "v_min", "v_max")
     bounds = np.stack([ragged.scalars(patches, name) for name in names])

@@ -8,9 +8,9 @@ from typing import Final
 import numpy as np
 
 from breplake.schema.namespace import Bools, Floats, Ints, slices
+from breplake.schema.roots import bracketed_roots, isolate
 from breplake.schema.trimming.loops import Arcs
 from breplake.schema.trimming.outline import Outlines
-from breplake.schema.trimming.roots import bracketed_roots, isolate
 
 __all__ = ["Pieces", "cut", "cut_at"]
 
@@ -69,16 +69,16 @@ class Pieces:
         """
         order = np.argsort(patch, kind="stable")
         heads = np.searchsorted(patch[order], np.arange(len(self.first)))
-        found = [(np.zeros(0, dtype=np.int64),) * 3]
+        none = np.zeros(0, dtype=np.int64)
+        found = [(none, none, none)]
         total = np.zeros(len(patch))
         for row in np.unique(patch):
             mine = order[heads[row] : heads[row + 1]]
             near = np.arange(self.first[row], self.first[row + 1])
             for part in slices(len(mine), max(1, _PAIRS // max(1, len(near)))):
                 some = mine[part]
-                clear, *unclear = self._rays(near, u[some], v[some])
-                total[some] = clear
-                found.append((some[unclear[0]], *unclear[1:]))
+                total[some], ray, beside, sign = self._rays(near, u[some], v[some])
+                found.append((some[ray], beside, sign))
         point, piece, sign = (np.concatenate(part) for part in zip(*found, strict=True))
         hit = self._left(piece, u[point], v[point])
         total += np.bincount(point, sign * hit, minlength=len(patch))
@@ -109,7 +109,7 @@ class Pieces:
         signs = sign[point, piece].astype(np.int64)
         clear = u[point] < np.minimum(start[0], stop[0])[piece]
         count = np.bincount(point[clear], signs[clear], minlength=len(u))
-        return count, point[~clear], near[piece[~clear]], signs[~clear]
+        return count.astype(np.float64), point[~clear], near[piece[~clear]], signs[~clear]
 
     def _left(self, piece: Ints, u: Floats, v: Floats) -> Bools:
         """Tell which points ``(n,)``, at a height between the ends of pieces, lie left of them."""
@@ -125,10 +125,12 @@ class Pieces:
         near = np.flatnonzero(~left & (u < np.maximum(*ends)))
         t0, t1 = self.arcs.t[:, piece[near]]
         bracket = t0 + (t1 - t0) * np.stack([low[near], high[near]]) / steps
-        t = self._parameter(piece[near], 1, v[near], bracket, self.ladder[1, piece[near], low[near]])
+        t = self._parameter(
+            piece[near], 1, v[near], bracket, self.ladder[1, piece[near], low[near]]
+        )
         point = self.outlines.evaluate(self.arcs.curve[piece[near]], t)[0]
         left[near] = u[near] < point[0] + self.arcs.shift[0, piece[near]]
-        return left
+        return np.asarray(left)
 
     def parameter(self, piece: Ints, axis: int, value: Floats) -> Floats:
         """Return where pieces ``(n,)`` reach a u (axis 0) or v (axis 1) between their ends."""
@@ -144,7 +146,7 @@ class Pieces:
             jet = self.outlines.evaluate(curve[index], t)[:2, axis]
             return jet[0] + shift[index] - value[index], jet[1]
 
-        return bracketed_roots(height, *bracket, first - value)
+        return bracketed_roots(height, bracket[0], bracket[1], first - value)
 
 
 def _ladder(outlines: Outlines, arcs: Arcs) -> Floats:
@@ -154,7 +156,7 @@ def _ladder(outlines: Outlines, arcs: Arcs) -> Floats:
     points = outlines.evaluate(curve, t.ravel())[0].reshape(2, len(arcs), _STEPS + 1)
     points += arcs.shift[:, :, None]
     points[:, :, 0], points[:, :, -1] = arcs.start, arcs.stop
-    return points
+    return np.asarray(points)
 
 
 def cut(outlines: Outlines, arcs: Arcs, n_patches: int) -> Pieces:
@@ -195,7 +197,8 @@ def _scale(arcs: Arcs) -> Floats:
     for axis in (0, 1):
         for ends in (arcs.start[axis], arcs.stop[axis]):
             np.maximum.at(most[axis], arcs.patch, np.abs(ends))
-    return np.maximum(most, _TINY * most.max(axis=0, initial=0))[:, arcs.patch]
+    scale = np.maximum(most, _TINY * most.max(axis=0, initial=0))
+    return np.asarray(scale[:, arcs.patch])
 
 
 def cut_at(outlines: Outlines, arcs: Arcs, arc: Ints, t: Floats) -> Arcs:

@@ -44,9 +44,7 @@ def unwrapped(
     span = np.where(np.isfinite(period), period, 0.0)
     heads = np.unique(arcs.loop, return_index=True)[1]
     winding = np.flatnonzero(turns.any(axis=0))
-    ways = [
-        _way_back(window[[0, 2]], arcs.start[:, heads[i]], turns[:, i], span) for i in winding
-    ]
+    ways = [_way_back(window[[0, 2]], arcs.start[:, heads[i]], turns[:, i], span) for i in winding]
     of_loop = np.repeat(heads[winding], [way.shape[1] - 1 for way in ways])
     start = np.concatenate([way[:, :-1] for way in ways], axis=1)
     stop = np.concatenate([way[:, 1:] for way in ways], axis=1)
@@ -79,9 +77,7 @@ def _images(arcs: Arcs, span: Floats, window: Floats) -> Arcs:
         first = np.ceil((window[2 * axis] - high[axis]) / span[axis])
         last = np.floor((window[2 * axis + 1] - low[axis]) / span[axis])
         steps[axis] = range(int(first), int(last) + 1)
-    return Arcs.joined(
-        [arcs.moved((span * (i, j))[:, None]) for i in steps[0] for j in steps[1]]
-    )
+    return Arcs.joined([arcs.moved((span * (i, j))[:, None]) for i in steps[0] for j in steps[1]])
 
 
 def _winding_beside(

@@ -20,6 +20,7 @@ from breplake.commands.proof import check, show
 from breplake.commands.publish import publish, pull
 from breplake.commands.query import query
 from breplake.commands.rebuild import rebuild
+from breplake.commands.sample import sample
 from breplake.commands.sql import sql
 from breplake.commands.stats import stats
 from breplake.commands.subset import subset
@@ -84,7 +85,7 @@ def _options(
 _COMMANDS = (
     *(samples, ingest, info, sql, query, stats, files, show, check, duplicates),
     consolidate,
-    *(snapshots, tag, diff, verify, gc, publish, pull, rebuild),
+    *(snapshots, tag, diff, verify, gc, publish, pull, rebuild, sample),
 )
 
 for command in _COMMANDS:

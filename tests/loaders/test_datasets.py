@@ -158,6 +158,24 @@ def test_normals_of_triangles_are_nearly_the_surface(samples):
     assert (direction * cloud.normals).sum(dim=1).min() > 0.999
 
 
+def test_exact_points_are_those_of_the_lake(samples):
+    clouds = samples.points(300, seed=5, source="exact")
+    index = next(i for i in range(len(samples)) if samples.name(i) == "ball_steel")
+    cloud = clouds[index]
+    sphere = samples.index.table("patches", index, ["location", "radius"]).to_pylist()[0]
+    offset = cloud.positions.double() - torch.tensor(list(sphere["location"].values()))
+    np.testing.assert_allclose(offset.norm(dim=1), sphere["radius"], rtol=1e-6)
+    np.testing.assert_allclose(offset / sphere["radius"], cloud.normals, atol=1e-6)
+    np.testing.assert_allclose(cloud.curvatures, -1 / sphere["radius"], rtol=1e-6)
+    assert torch.equal(clouds[index].positions, cloud.positions)
+    assert not torch.equal(clouds.sample(index, 1).positions, cloud.positions)
+    assert not torch.equal(
+        samples.points(300, seed=6, source="exact")[index].positions, cloud.positions
+    )
+    with pytest.raises(UsageError, match="vertices or triangles or exact"):
+        samples.points(3, source="surface")
+
+
 def test_types_name_the_patches(samples):
     lake = samples.index.lake
     for index in range(0, len(samples), 5):

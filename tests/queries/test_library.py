@@ -21,7 +21,7 @@ from breplake.queries.session import Lake
 from breplake.schema.types import CURVE_TYPES, SURFACE_TYPES
 
 QUERIES = {query.name: query for query in named_queries()}
-FEATURE_PARTS = ("block_machined", "manifold_block", "enclosure", "dice")
+FEATURE_PARTS = ("block_machined", "manifold_block", "enclosure", "dice", "lead_screw")
 
 
 @pytest.fixture(scope="session")
@@ -404,8 +404,15 @@ def test_helices(tiny_lake: Path):
     assert {(row["pitch"], row["handed"], row["helices"]) for row in rows} == {
         (3, "left", 1), (3, "right", 1),
     }  # fmt: skip
-    assert all(row["turns"] == pytest.approx(1.5) for row in rows)
+    assert all(row["turns"] == row["all_turns"] == pytest.approx(1.5) for row in rows)
     assert ask(lake, "helices", min_turns=2) == []
+
+
+def test_a_thread_is_found(features: Lake):
+    (row,) = ask(features, "helices")
+    assert (row["name"], row["handed"], row["pitch"]) == ("lead_screw", "right", 5)
+    assert row["all_turns"] > 10
+    assert row["least_radius"] == row["most_radius"] == pytest.approx(8)
 
 
 def test_thin_walled(samples: Lake):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import uuid
 from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
 
@@ -38,8 +39,9 @@ def bucket(monkeypatch):
         "AWS_ALLOW_HTTP": "true",
     }.items():
         monkeypatch.setenv(name, value)
-    boto3.client("s3").create_bucket(Bucket="cad")
-    yield "s3://cad/lakes/one"
+    name = uuid.uuid4().hex  # moto keeps its buckets from test to test
+    boto3.client("s3").create_bucket(Bucket=name)
+    yield f"s3://{name}/lakes/one"
     server.stop()
 
 
@@ -66,11 +68,11 @@ def test_there_and_back(own_lake, bucket, tmp_path):
     call("pull", bucket, "--lake", tmp_path / "some", "--where", "name = 'big'")
     assert breplake.open(tmp_path / "some").model("big")["area"] == 148
     for _ in range(2):  # the same selection is the same lake, so it goes on where it was
-        call("publish", "s3://cad/lakes/big", "--lake", own_lake, "--where", "name = 'big'")
+        call("publish", bucket.replace("one", "big"), "--lake", own_lake, "--where", "name = 'big'")
     result = CliRunner().invoke(app, ["publish", bucket, "--lake", str(tmp_path / "some")])
     assert "holds another lake" in result.stderr
     with pytest.raises(UsageError, match="by way of one"):
-        mirror(remote, "s3://cad/lakes/two", remote.snapshot())
+        mirror(remote, bucket.replace("one", "two"), remote.snapshot())
     result = CliRunner().invoke(app, ["publish", "s3://none/x", "--lake", str(own_lake)])
     assert result.stderr.startswith("breplake: cannot copy between here and s3://none/x: ")
 

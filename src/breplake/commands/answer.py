@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     import duckdb
 
-__all__ = ["Format", "FormatOption", "OutputOption", "RowsOption", "answer"]
+__all__ = ["Format", "FormatOption", "OutputOption", "RowsOption", "answer", "replaced"]
 
 
 class Format(StrEnum):
@@ -89,7 +89,7 @@ def answer(
         if output is None:
             _write(relation, chosen, sys.stdout, rows)
         else:
-            with _replaced(output) as stream:
+            with replaced(output) as stream:
                 _write(relation, chosen, stream, None)
     except duckdb.Error as error:
         raise UsageError(str(error)) from error
@@ -108,7 +108,7 @@ def _format_of(output: Path | None) -> Format:
 
 
 @contextmanager
-def _replaced(path: Path) -> Iterator[IO[str]]:
+def replaced(path: Path) -> Iterator[IO[str]]:
     """Open a file that takes the place of `path` only when it is complete."""
     if path.exists() and not path.is_file():  # a pipe or /dev/null must not be replaced
         with _opened(path) as stream:

@@ -72,7 +72,7 @@ def abc(
     decimals: Annotated[
         int | None,
         typer.Option(
-            min=3, max=15, help="Digits after the point in the OBJ, 6 as published; all if not given."
+            min=3, max=15, help="Digits after the point in the OBJ: 6 as published; default all."
         ),
     ] = None,
     overwrite: Annotated[

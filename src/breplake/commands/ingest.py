@@ -45,6 +45,12 @@ def ingest(
     max_edge: Annotated[
         float, typer.Option(help="Longest mesh edge, as a share of the model's diagonal.")
     ] = 0.01,
+    uv_grid: Annotated[
+        int,
+        typer.Option(
+            help="Also sample each patch N by N, each curve N times; 0 for none.", metavar="N"
+        ),
+    ] = 0,
     timeout: Annotated[float, typer.Option(help="Seconds for one attempt at a model.")] = 120.0,
     memory: Annotated[float, typer.Option(help="Memory for one model, in GiB.")] = 8.0,
     message: Annotated[
@@ -82,7 +88,9 @@ def ingest(
     from breplake.ingest.run import ingest as run
     from breplake.ingest.settings import Settings
 
-    settings = Settings(mesh=mesh, max_edge=max_edge, timeout=timeout, memory=memory)
+    settings = Settings(
+        mesh=mesh, max_edge=max_edge, uv_grid=uv_grid, timeout=timeout, memory=memory
+    )
     errors = console(error=True)
     with _Bar(errors) as bar, _stop_signals(errors) as stop:
         summary = run(

@@ -18,6 +18,7 @@ Values: TypeAlias = Callable[[Ints, Floats], tuple[Floats, Floats]]
 """From numbers of functions and parameters, each ``(n,)``, to values and derivatives."""
 
 _EPS = np.finfo(np.float64).eps
+_STEADY = 4 * _EPS  # of the parameters: a step this short is rounding
 _ROUNDS = 200  # bisection alone needs 64; it takes over at least every other round
 _RESOLVED = 1e-6  # share of a series' last terms in all, below which it is the function
 _DEEPEST = 60  # halvings of a span
@@ -64,7 +65,8 @@ def bracketed_roots(function: Values, low: Floats, high: Floats, f_low: Floats) 
         step = np.abs(trial - at)
         root[active] = np.where(value == 0, at, trial)
         last[active] = step
-        moving = (value != 0) & (step > _EPS * np.abs(trial)) & (left != right)
+        size = np.maximum(np.abs(left), np.abs(right))
+        moving = (value != 0) & (step > _STEADY * size) & (left != right)
         active = active[moving]
     return root
 

@@ -37,7 +37,7 @@ class Density:
     @property
     def single(self) -> Bools:
         """Whether each patch's density depends on one parameter at most, ``(n,)``."""
-        return self.kind != _SPLINE
+        return np.asarray(self.kind != _SPLINE)
 
     def sideways(self, window: Floats) -> Bools:
         """Tell along which parameter it is easier to integrate.
@@ -53,7 +53,7 @@ class Density:
             ``(n,)`` bool: along v, where the density is constant along v, or has fewer creases
             there; else along u.
         """
-        along = self.kind == _EXTRUSION
+        along: Bools = np.asarray(self.kind == _EXTRUSION)
         for row in np.flatnonzero((self.kind == _SPLINE) & np.isfinite(window[0])).tolist():
             u0, u1, v0, v1 = window[:, row].tolist()
             along[row] = len(self.creases(row, 1, v0, v1)) < len(self.creases(row, 0, u0, u1))
