@@ -159,8 +159,10 @@ class _Model:
 
     def _identify(self) -> None:
         """Add the fingerprint and what follows from it."""
-        tables = (self.tables[name] for name in ("patches", "curves", "coedges", "corners"))
-        found = fingerprint(*tables, self.row["volume"])
+        patches, curves, coedges, corners = (
+            self.tables[name] for name in ("patches", "curves", "coedges", "corners")
+        )
+        found = fingerprint(patches, curves, coedges, corners, self.row["volume"])
         text = None if found is None else str(found)
         group = duplicate_group(text, str(self.input.sha256))
         self.row |= {"fingerprint": text, "duplicate_group": group}

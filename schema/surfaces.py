@@ -25,8 +25,8 @@ from breplake.schema.transfer import transferred
 
 __all__ = ["SurfaceKind", "SurfaceSet"]
 
-_BATCH: Final = 8_192  # points whose temporaries stay in the cache
-_SPLINE_BATCH: Final = 16_384  # points times poles in u, the same
+_BATCH: Final = 16_384  # points times poles and one more, whose temporaries stay in the cache
+_BATCH_OF_CLOSED: Final = 16_384  # the same for elementary surfaces, which need few
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +225,7 @@ class SurfaceSet:
     @property
     def batches(self) -> list[int]:
         """Points of each kind whose temporaries stay in the cache."""
-        return [min(_BATCH, _SPLINE_BATCH // (kind.degrees[0] + 1)) for kind in self.kinds]
+        return [_BATCH_OF_CLOSED if k.closed else _BATCH // (k.degrees[0] + 2) for k in self.kinds]
 
     def _sphere_curvature(self, row: Array, group: Array, v: Array) -> Array | None:
         """Return the curvature of spheres towards du x dv, NaN elsewhere; None without any."""

@@ -24,6 +24,7 @@ import typer
 
 from breplake.bench.speed.cloud_peers import PEERS, Clouds, Peer
 from breplake.bench.speed.machine import machine
+from breplake.errors import UsageError
 
 __all__ = ["OURS", "Figure", "main", "measure", "table"]
 
@@ -155,15 +156,25 @@ def _prepare(lake: Path, folder: Path, samples: int, points: int) -> Clouds:
 
 
 def _compare(
-    lake: Path, work: Path, samples: int, points: int, batch_size: int, rounds: int
+    lake: Path,
+    work: Path,
+    samples: int,
+    points: int,
+    batch_size: int,
+    rounds: int,
+    only: list[str] | None,
 ) -> None:
     peers = {**_ours(), **PEERS}
+    if strange := set(only or ()) - peers.keys():
+        raise UsageError(f"there is no peer {min(strange)!r}: there are {', '.join(peers)}")
     clouds = _prepare(lake, work / "pack", samples, points)
     size = (clouds.points.nbytes + clouds.labels.nbytes) / 1e6
     print(f"{len(clouds):,} clouds of {points} points, {size:,.0f} MB; batches of {batch_size}")
     print(machine("breplake", "torch", "numpy"))
-    places = dict.fromkeys(_ours(), work / "pack")
+    places = {name: work / "pack" for name in _ours() if not only or name in only}
     for name, peer in PEERS.items():
+        if only and name not in only:
+            continue
         if not peer.is_there:
             print(f"skipped {name}: not installed (pip install {name})")
             continue
@@ -192,6 +203,7 @@ def main(
     points: Annotated[int, typer.Option(min=1, help="Points of a cloud.")] = 2048,
     batch_size: Annotated[int, typer.Option(min=1, help="Clouds in a batch.")] = 64,
     rounds: Annotated[int, typer.Option(min=1, help="How often to measure each.")] = 3,
+    only: Annotated[list[str] | None, typer.Option(help="Measure this one alone.")] = None,
     folder: Annotated[Path | None, typer.Option(help="Where to write; temporary.")] = None,
     child: Annotated[tuple[str, int] | None, typer.Option(hidden=True)] = None,
     begin: Annotated[float, typer.Option(hidden=True)] = 0.0,
@@ -203,7 +215,7 @@ def main(
         print(json.dumps(measure(lambda: peer.batches(lake, batch_size, workers), begin)))
         return
     with tempfile.TemporaryDirectory(dir=folder) as temporary:
-        _compare(lake, Path(temporary), samples, points, batch_size, rounds)
+        _compare(lake, Path(temporary), samples, points, batch_size, rounds, only)
 
 
 if __name__ == "__main__":

@@ -125,4 +125,5 @@ def _on_patch(view: ModelView, rows: Ints, share: float) -> Floats:
     pcurves = PcurveSet.from_pcurves(view.table("pcurves"))
     uv = pcurves.evaluate(view.ints("coedges", "pcurve")[rows], low + share * (high - low)).point
     patch = view.ints("coedges", "patch_id")[rows]
-    return view.surfaces.evaluate(patch, uv[:, 0], uv[:, 1]).point
+    point: Floats = view.surfaces.evaluate(patch, uv[:, 0], uv[:, 1]).point
+    return point

@@ -137,7 +137,7 @@ def chained(arcs: Arcs, period: Floats) -> tuple[Arcs, Floats]:
     """
     first = np.diff(arcs.loop, prepend=-1) != 0
     heads = np.flatnonzero(first)
-    tails = np.append(heads[1:], len(arcs)) - 1
+    tails = np.append(heads, len(arcs))[1:] - 1
     span = period[:, arcs.patch]
     before = np.roll(arcs.stop, 1, axis=1)
     steps = _periods(before - arcs.start, span)
@@ -161,7 +161,7 @@ def closed(outlines: Outlines, arcs: Arcs, turns: Floats, period: Floats) -> tup
     """
     heads = np.flatnonzero(np.diff(arcs.loop, prepend=-1) != 0)
     follower = np.arange(1, len(arcs) + 1)
-    follower[np.append(heads[1:], len(arcs)) - 1] = heads
+    follower[np.append(heads, len(arcs))[1:] - 1] = heads
     target = arcs.start[:, follower]
     tails = np.flatnonzero(follower <= np.arange(len(arcs)))
     span = period[:, arcs.patch[heads]]

@@ -344,6 +344,16 @@ def test_commands(call, own_lake, tmp_path):
     assert f"a of lake {made.lake_id} at snapshot 2" in call("show", "c").stdout
 
 
+def test_pack_command(call):
+    pytest.importorskip("torch")
+    call("create", "a", "--where", "true", "--split", "train=0.5,test=0.5")
+    done = call("pack", "a", "-o", "clouds", "-n", 16)
+    assert done.exit_code == 0, done.stderr
+    assert done.stdout == "clouds: 4 clouds of 16 points; 1 models without a mesh are left out\n"
+    assert "written once" in call("pack", "a", "-o", "clouds").stderr
+    assert "source is" in call("pack", "a", "-o", "b", "--source", "sky").stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

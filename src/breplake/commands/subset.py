@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
@@ -11,6 +11,7 @@ from breplake.commands.options import AtOption, LakeOption, console, shown
 from breplake.errors import UsageError
 
 if TYPE_CHECKING:
+    from breplake.loaders.points import Source
     from breplake.queries.session import Lake
     from breplake.schema.subset import Subset
 
@@ -158,6 +159,31 @@ def export(
     path = output or Path(f"{name}.json")
     export_subset(opened, found, path)
     typer.echo(f"{_line(found)}: {path}")
+
+
+@subset.command()
+def pack(
+    name: _NameArgument,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder to make.")],
+    points: Annotated[int, typer.Option("--points", "-n", min=1, help="Points of a cloud.")] = 2048,
+    split: Annotated[str | None, typer.Option("--split", help="Take one split.")] = None,
+    source: Annotated[
+        str, typer.Option("--source", help="vertices, triangles or exact.")
+    ] = "vertices",
+    seed: Annotated[int, typer.Option("--seed", help="Another one draws other points.")] = 0,
+    workers: Annotated[int, typer.Option("--workers", min=0, help="Processes that draw.")] = 0,
+    lake: LakeOption = Path("lake"),
+) -> None:
+    """Draw a point cloud of each model, and store them raw for fast training."""
+    from breplake.loaders import MeshDataset, write_pack
+
+    opened, found = _load(lake, name)
+    meshes = MeshDataset(opened, subset=found, split=split)
+    clouds = meshes.points(points, seed, cast("Source", source))
+    made = write_pack(clouds, output, workers=workers)
+    left_out = meshes.index.left_out
+    note = f"; {left_out} models without a mesh are left out" if left_out else ""
+    typer.echo(f"{output}: {len(made):,} clouds of {made.points:,} points{note}")
 
 
 def _load(lake: Path, name: str) -> tuple[Lake, Subset]:
