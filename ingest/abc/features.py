@@ -121,10 +121,9 @@ def read_features(content: Any) -> Features:
         ("curve", curves, geometry.curves.known),
         ("surface", patches, geometry.surfaces.known),
     ):
-        for number in np.flatnonzero(~np.asarray(known)):
-            if rows[number]["type"] != "Other":
-                kind = rows[number]["type"]
-                raise _bad(f"{what} {number}", f"its parameters do not make a {kind}")
+        for place, row in enumerate(rows):
+            if not known[place] and row["type"] != "Other":
+                raise _bad(f"{what} {place}", f"its parameters do not make a {row['type']}")
     return found
 
 
@@ -141,7 +140,7 @@ def _entry(given: Mapping[str, Any], dimension: int, where: str) -> Entry:
     except (TypeError, ValueError, OverflowError) as error:
         raise _bad(where, f"its lists hold what is no number ({error})") from error
     shape = (len(vertices),) if dimension == 1 else (len(vertices), 2)
-    if vertices.ndim != 1 or faces.ndim != 1 or parameters.size != np.prod(shape, dtype=int):
+    if vertices.ndim != 1 or faces.ndim != 1 or parameters.size != dimension * len(vertices):
         raise _bad(where, "vert_indices and vert_parameters do not match")
     return Entry(vertices, parameters.reshape(shape), faces)
 
@@ -187,7 +186,7 @@ def _value(value: Any, kind: pa.DataType) -> Any:
         wanted = (int, float)
     if not isinstance(value, wanted) or (isinstance(value, bool) and bool not in wanted):
         raise TypeError(f"{value!r:.60}, not {kind}")
-    return float(value) if pa.types.is_floating(kind) else value
+    return float(value) if isinstance(value, int | float) and float in wanted else value
 
 
 def _list(value: Any) -> list[Any]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Final, Protocol
 
 import numpy as np
@@ -49,9 +50,12 @@ _BLOCK: Final = 8_192
 _COLUMNS: Final = 8
 """Integrals: of 1, x, y, z over the area, of 1, x, y, z over the volume."""
 
-_LOOSE: Final = 0.45
-"""A side that covers this share of a period may as well go round the other way: the patch is
-meshed too coarsely to tell how it lies in (u, v)."""
+_WIDE: Final = 0.3
+"""A side of a triangle that covers this share of a period may go round the other way."""
+
+_LOOSE: Final = 0.5
+"""A patch whose flat triangles lack this share of its area, or have as much too much, is meshed
+too coarsely to tell how it lies in (u, v)."""
 
 _POLE: Final = 1e-6
 """Share of the greatest length of a derivative on a patch at which one vanishes."""
@@ -111,7 +115,7 @@ def masses(mesh: Mesh, geometry: ExactGeometry, used: Iterable[Use], n_patches: 
     enough = _NEGLIGIBLE * flat[:, 0]
     total += signs * _integral(corners, geometry, inner, enough)
     total += signs * _integral(rim, geometry, np.arange(len(rim.patch)), enough)
-    loose = curved & (np.bincount(corners.patch, corners.is_wide, minlength=n_patches) > 0)
+    loose = curved & ~(np.abs(total[:, 0] - flat[:, 0]) <= _LOOSE * total[:, 0])
     total = np.where(loose[:, None], flat, total)
     low, high = corners.ranges(geometry, rim.seams(), n_patches)
     return Masses(
@@ -196,15 +200,12 @@ class _Corners:
         ``(f, 3, 2)``, across seams too.
     free : numpy.ndarray
         ``(f, 2)`` bool: u or v of the last corner may be any.
-    is_wide : numpy.ndarray
-        ``(f,)`` bool: a side may as well go round the other way.
     """
 
     patch: _Ints
     vertex: _Ints
     uv: _Floats
     free: _Bools
-    is_wide: _Bools
 
     @classmethod
     def of(cls, mesh: Mesh, geometry: ExactGeometry) -> _Corners:
@@ -227,10 +228,31 @@ class _Corners:
         middle = uv.mean(axis=1)
         uv += (periods.inside(patch, middle) - middle)[:, None]
         free = pole[pair[:, 2]]
-        sides = np.abs(uv - np.roll(uv, -1, axis=1))  # (f, 3, 2)
-        sides[:, 1:] = np.where(free[:, None], 0.0, sides[:, 1:])
-        wide = (sides >= _LOOSE * periods.period[patch][:, None]).any(axis=(1, 2))
-        return cls(patch, mesh.pair_vertex[pair], uv, free, wide)
+        found = cls(patch, mesh.pair_vertex[pair], uv, free)
+        found._unfold(np.asarray(periods.period[patch]))
+        return found
+
+    def _unfold(self, period: _Floats) -> None:
+        """Take sides that cover much of a period the way round that suits the patch.
+
+        All triangles of a patch turn the same way in (u, v); of those ways, the shortest.
+        """
+        last = np.where(self.free, self.uv[:, 1], self.uv[:, 2])
+        sides = np.stack([self.uv[:, 1] - self.uv[:, 0], last - self.uv[:, 1]], axis=1)
+        wide: _Bools = np.any(np.abs(sides) >= _WIDE * period[:, None], axis=1)  # (f, 2)
+        votes = np.bincount(self.patch, np.where(wide.any(axis=1), 0.0, self.turn))
+        for axis in (0, 1):
+            rows = np.flatnonzero(wide[:, axis])
+            best = np.full(len(rows), np.inf)
+            chosen = self.uv[rows].copy()
+            for one, two in product((0, -1, 1), repeat=2):
+                uv = self.uv[rows].copy()
+                uv[:, 1, axis] += one * period[rows, axis]
+                uv[:, 2, axis] += two * period[rows, axis]
+                turn = _turn(uv, self.free[rows]) * np.sign(votes[self.patch[rows]])
+                better = (turn > 0) & (turn < best * (1 - 1e-9))
+                chosen[better], best[better] = uv[better], turn[better]
+            self.uv[rows] = chosen
 
     def ranges(
         self, geometry: ExactGeometry, seams: _Floats, n_patches: int
@@ -257,7 +279,7 @@ class _Corners:
     @property
     def turn(self) -> _Floats:
         """Twice the area of each triangle in (u, v), negative if clockwise, ``(f,)``."""
-        return _cross(self.uv[:, 1] - self.uv[:, 0], self.uv[:, 2] - self.uv[:, 0])
+        return _turn(self.uv, self.free)
 
     def at(self, row: _Ints, s: _Floats, t: _Floats) -> tuple[_Floats, _Floats]:
         """Map s along the first side and t from there to the last corner; see `_Maps`."""
@@ -298,20 +320,16 @@ class _Rim:
         cls, corners: _Corners, geometry: ExactGeometry, mesh: Mesh, used: Iterable[Use]
     ) -> _Rim:
         known = np.asarray(geometry.surfaces.known), np.asarray(geometry.curves.known)
-        rows: list[tuple[npt.NDArray[np.int64], _Floats]] = []
+        rows: list[tuple[_Ints, _Floats]] = []
         for use in used:
             if known[0][use.patch] and known[1][use.curve]:
                 nodes = mesh.curves[use.curve]
                 step = -1 if use.reversed else 1
                 vertices, t = nodes.vertices[::step], nodes.t[::step]
                 count = len(t) - 1
-                ids = [np.full(count, use.patch), np.full(count, use.curve)]
-                rows.append(
-                    (
-                        np.column_stack([*ids, vertices[:-1], vertices[1:]]),
-                        np.column_stack([t[:-1], t[1:]]),
-                    )
-                )
+                owner = np.tile([use.patch, use.curve], (count, 1))
+                segments = np.column_stack([owner, vertices[:-1], vertices[1:]])
+                rows.append((segments, np.column_stack([t[:-1], t[1:]])))
         ids = np.concatenate([np.empty((0, 4), np.int64), *(row[0] for row in rows)])
         t = np.concatenate([np.empty((0, 2)), *(row[1] for row in rows)])
         face, side = _sides(corners, ids[:, 0], ids[:, 2], ids[:, 3], len(mesh.points))
@@ -355,12 +373,19 @@ class _Rim:
         jet = self.geometry.curves.evaluate(self.curve[row], first + s * span)
         patch = self.patch[row]
         bounds = self.geometry.periods.bounds[patch]
-        u, v, _ = self.geometry.surfaces.project(patch, jet.point, *chord.T, bounds)
+        u, v, _ = self.geometry.surfaces.project(patch, jet.point, chord[:, 0], chord[:, 1], bounds)
         surface = self.geometry.jet(patch, u, v)
         slope = _components(surface.du, surface.dv, jet.d1 * span[:, None])
         away = np.column_stack([u, v]) - chord
         along = (1 - t)[:, None] * (stop - start) + t[:, None] * slope
         return chord + t[:, None] * away, -_cross(along, away)
+
+
+def _turn(uv: _Floats, free: _Bools) -> _Floats:
+    """Return twice the area of triangles ``(f, 3, 2)``; of free corners, the square's."""
+    base = uv[:, 1] - uv[:, 0]
+    to_last = np.where(free, 0.0, uv[:, 2] - uv[:, 0])
+    return _cross(base, to_last)
 
 
 def _behind_gap(values: _Floats, period: float) -> float:
@@ -469,4 +494,4 @@ def _speeds(
     """Return the speed of a curve at places of pieces, ``(n, places)``."""
     t = start[:, None] + places * width[:, None]
     speed = np.linalg.norm(geometry.curves.evaluate(curve, t.ravel()).d1, axis=1)
-    return speed.reshape(t.shape)
+    return np.asarray(speed.reshape(t.shape))

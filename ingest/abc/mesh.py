@@ -189,7 +189,7 @@ class _PairParameters:
 
     @property
     def missing(self) -> _Bools:
-        return np.isnan(self.uv).any(axis=1)
+        return np.asarray(np.isnan(self.uv).any(axis=1))
 
     def all(self, triangles: _Ints, patch: _Ints, repairs: Repairs) -> _Floats:
         """Return the parameters ``(m, 2)`` of each pair of patch and vertex."""
@@ -234,11 +234,10 @@ class _PairParameters:
             if not len(rows):
                 break
             on, target = self.pairs[rows].T
+            near = self.uv[start[ready[first]]]
+            bounds = known.geometry.periods.bounds[on]
             u, v, away = known.geometry.surfaces.project(
-                on,
-                known.points[target],
-                *self.uv[start[ready[first]]].T,
-                known.geometry.periods.bounds[on],
+                on, known.points[target], near[:, 0], near[:, 1], bounds
             )
             lost = ~is_same(away, known.size)
             if lost.any():

@@ -129,11 +129,13 @@ def _decimals(lines: Sequence[str]) -> int | None:
     """Return how many decimals all numbers have; None if they differ, as in exact files."""
     counts = set()
     for word in " ".join(lines).split():
-        whole, _, fraction = word.partition(".")
+        fraction = word.partition(".")[2]
+        if word.strip("+-").lower() == "nan":
+            continue
         if not fraction.isdigit():
             return None
         counts.add(len(fraction))
         if len(counts) > 1:
             return None
-    (count,) = counts
+    count = max(counts, default=0)
     return count if count >= _LEAST_DECIMALS else None

@@ -231,9 +231,10 @@ def ranged(part: Listed, low: _Floats, high: _Floats) -> _Floats:
     parameters = np.stack([part.parameter[:, 0], part.parameter[:, 0] * _THOUSAND])
     beyond = np.maximum(np.maximum(least - parameters, parameters - most), 0.0)
     width = np.where(most > least, most - least, 1.0)
-    worth = np.nan_to_num(np.minimum(beyond / width, 1.0)) + [[0.0], [1e-9]]
+    worth = np.nan_to_num(np.minimum(beyond / width, 1.0))
+    worth[1] += 1e-9  # what is equally good stays as it is
     best = _cheapest(worth, groups, 2 * part.count)
-    return np.take_along_axis(parameters, best[None], axis=0)[0][:, None]
+    return np.asarray(np.take_along_axis(parameters, best[None], axis=0)[0][:, None])
 
 
 def changed_parameters(code: str, after: _Floats, before: _Floats) -> Repairs:

@@ -91,8 +91,7 @@ def shape(
         }
         for use, loop, place in loops(mesh, used)
     ]
-    n_loops = Counter((row["patch_id"], row["loop"]) for row in coedges)
-    n_loops = Counter(patch for patch, _ in n_loops)
+    n_loops = Counter(patch for patch, _ in {(row["patch_id"], row["loop"]) for row in coedges})
     parts, part_of, volume = _parts(features, mesh, used, found, stats)
     area, total = _areas(found, stats)
     patches = [

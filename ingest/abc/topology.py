@@ -109,7 +109,7 @@ def _extent(mesh: Mesh, ring: list[Use]) -> float:
 def _fans(mesh: Mesh) -> dict[tuple[int, int, int], int]:
     """Return the third vertex of triangles at corners by patch and directed side from or to one."""
     at_corner = (mesh.corner >= 0)[mesh.triangles].any(axis=1)
-    fans = {}
+    fans: dict[tuple[int, int, int], int] = {}
     for patch, (a, b, c) in zip(
         mesh.patch[at_corner].tolist(), mesh.triangles[at_corner].tolist(), strict=True
     ):

@@ -67,7 +67,7 @@ def refined(mesh: Mesh, geometry: ExactGeometry, rounding: float) -> tuple[Mesh,
             mine = np.array([0, -1]) if ends else np.arange(1, len(nodes.t) - 1)
             exact[nodes.vertices[mine]] = geometry.curve_points(curve, nodes.t[mine])
     slack = rounding * (1 + 1e-6) + 1e-12 * float(np.abs(mesh.points).max())
-    close = (np.abs(exact - mesh.points) <= slack).all(axis=1)
+    close: _Bools = np.all(np.abs(exact - mesh.points) <= slack, axis=1)
     points = np.where(close[:, None], exact, mesh.points)
     return replace(mesh, points=points), int((~close).sum())
 
@@ -151,7 +151,7 @@ class Printed:
         """Read them by the normals ``(m,)`` of the pairs, -1 where there is none."""
         there = pair_normal >= 0
         normal, values = np.full((len(there), 3), np.nan), np.full((len(there), 8), np.nan)
-        normal[there] = obj.normals[pair_normal[there]]
+        normal[there] = obj.normals[pair_normal[there]]  # (m, 3)
         if len(obj.curvatures):
             values[there] = obj.curvatures[pair_normal[there]]
         length = np.linalg.norm(normal, axis=1)

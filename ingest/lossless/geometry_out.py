@@ -158,7 +158,7 @@ def _trim(surface: Any) -> _Row:
     from OCP.Precision import Precision
 
     u_min, u_max, v_min, v_max = surface.Bounds()
-    row = {}
+    row: _Row = {}
     if not (surface.IsUPeriodic() or Precision.IsInfinite_s(u_min)):
         row |= {"u_min": u_min, "u_max": u_max}
     if not (surface.IsVPeriodic() or Precision.IsInfinite_s(v_min)):

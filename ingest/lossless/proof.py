@@ -47,7 +47,7 @@ def compare_models(
     MissingExtraError, KernelUnavailableError
         If no worker can start.
     """
-    waiting = list(reversed(models.items()))
+    waiting = list(models.items())[::-1]
     running: dict[Any, tuple[int, str]] = {}
     pool = isolated_pool(jobs, memory, "breplake rebuild --compare")
     try:

@@ -4,6 +4,7 @@
 -- model_id         : the model
 -- patch_a, patch_b : the two patches, patch_a < patch_b
 -- curve_id         : the curve between them
+-- curve_type       : Line, Circle ... Other
 -- kind             : sharp, smooth, nonmanifold ...
 -- angle_min, angle_max : range of the angle between the outward normals along the curve (rad)
 -- convexity        : convex, concave or mixed; null where smooth
@@ -15,6 +16,7 @@ SELECT
     a.patch_id AS patch_a,
     b.patch_id AS patch_b,
     a.curve_id,
+    c.type AS curve_type,
     c.kind,
     c.angle_min,
     c.angle_max,

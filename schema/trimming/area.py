@@ -48,9 +48,12 @@ def areas(density: Density, pieces: Pieces, window: Floats, relative: float) -> 
     """
     sideways = density.sideways(window)
     arcs = _cut_at_creases(density, pieces, window)
-    step = arcs.stop - arcs.start
-    outer = np.where(sideways[arcs.patch], step[0], step[1])
-    integrals = _Integrals(density, pieces.outlines, arcs.take(outer != 0), window, sideways)
+    across = np.where(sideways[arcs.patch], 0, 1)  # the parameter that is integrated last
+    at = np.arange(len(arcs.patch))
+    start, stop = arcs.start[across, at], arcs.stop[across, at]
+    low, high = window[2 * across, arcs.patch], window[2 * across + 1, arcs.patch]
+    counts = (start != stop) & (start + stop > 2 * low) & (start + stop < 2 * high)
+    integrals = _Integrals(density, pieces.outlines, arcs.take(counts), window, sideways)
     return integrals.adaptive(relative)
 
 

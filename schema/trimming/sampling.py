@@ -77,9 +77,7 @@ class UniformSampler:
             kept.append(self._round(random.random((size, 4)), ends))
             found, proposed = found + kept[-1].shape[1], proposed + size
             if proposed > 1_000_000 and found < _PATIENCE * proposed:
-                raise UsageError(
-                    "the patches of the model enclose next to no area to sample"
-                )
+                raise UsageError("the patches of the model enclose next to no area to sample")
         cell, u, v = np.concatenate(kept, axis=1)[:, :count]
         return self.cells.patch[cell.astype(np.int64)], u, v
 

@@ -69,9 +69,8 @@ def trimmed(surface, *loops, reverse=(), internal=(), flipped=False, bounds=(0, 
             )  # fmt: skip
             pcurves.append({"model_id": 1, "pcurve_id": len(pcurves)} | row)
         if (number in reverse) != flipped:
-            count = len(loop)
-            for coedge in coedges[-count:]:
-                coedge["place"] = count - 1 - coedge["place"] if not flipped else coedge["place"]
+            for coedge in coedges[-len(loop) :]:
+                coedge["place"] = len(loop) - 1 - coedge["place"]
     sides = dict(zip(("u_min", "u_max", "v_min", "v_max"), map(float, bounds), strict=True))
     patch = {"model_id": 1, "patch_id": 0, "part_id": 0, "reversed": flipped, "area": 0.0,
              "n_loops": len(loops), "tolerance": 1e-7} | NONE | AXES | sides | surface  # fmt: skip
@@ -272,8 +271,9 @@ def test_all_roots_are_isolated():
 def test_points_at_lengths_along_curves():
     frame = AXES | {"model_id": 1, "tolerance": 0.0, "n_patches": 0, "kind": "free"}
     frame["sharp"] = True
-    rows = [frame | {"curve_id": 0, "type": "Circle", "radius": 2.0},
-            frame | {"curve_id": 1, "type": "Ellipse", "x_radius": 3.0, "y_radius": 1.0}]  # fmt: skip
+    ellipse = {"type": "Ellipse", "x_radius": 3.0, "y_radius": 1.0}
+    circle = {"type": "Circle", "radius": 2.0}
+    rows = [frame | {"curve_id": 0} | circle, frame | {"curve_id": 1} | ellipse]
     curves = CurveSet.from_curves(CURVES.from_rows(rows))
     lengths = CurveLengths.of(curves, np.arange(2), np.zeros(2), np.array([TAU, TAU]))
     assert lengths.length[0] == pytest.approx(4 * np.pi, rel=1e-12)
