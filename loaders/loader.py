@@ -210,10 +210,15 @@ class Loader:
         steps = list(self.order.walk(epoch, self._cursor))
         keys = [(indices, epoch) for indices, _ in steps]
         made = self._by_processes(keys) if self.workers else self._by_threads(keys)
+        left = len(steps)
         for batch, (_, after) in zip(made, steps, strict=True):
+            left -= 1
             self._cursor = after
+            if not left:  # whoever counts batches does not come back after the last one
+                self._epoch, self._cursor = epoch + 1, 0
             yield batch
-        self._epoch, self._cursor = epoch + 1, 0
+        if not steps:
+            self._epoch, self._cursor = epoch + 1, 0
 
     def _by_threads(self, keys: Sequence[_Key]) -> Iterator[Any]:
         """Yield batches, read ahead by threads of this process."""

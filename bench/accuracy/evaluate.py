@@ -24,7 +24,7 @@ from breplake.schema.namespace import Bools, Floats, Ints
 from breplake.schema.surfaces import SurfaceSet
 from breplake.schema.transfer import mapped
 
-__all__ = ["TOLERANCES", "Errors", "compare", "main", "report", "total"]
+__all__ = ["TOLERANCES", "Errors", "compare", "main", "models_of", "report", "total"]
 
 TOLERANCES: Final = {"position": 1e-12, "normal": 1e-10, "curvature": 1e-7}
 """Largest differences: of the model's size; of unit vectors; relative to the larger curvature."""
@@ -229,7 +229,7 @@ def report(errors: dict[str, Errors]) -> list[str]:
     return [*lines, f"tolerances: {limits}; exceeded: {', '.join(everything.failed) or 'none'}"]
 
 
-def _models(folder: Path, models: int, per_patch: int) -> Iterator[tuple[str, dict[str, Errors]]]:
+def models_of(folder: Path, models: int, per_patch: int) -> Iterator[tuple[str, dict[str, Errors]]]:
     """Compare the first models that hold patches, each in a process that may crash."""
     import pebble
 
@@ -265,7 +265,7 @@ def main(
 ) -> None:
     """Compare evaluated patches with Open CASCADE's."""
     found: list[dict[str, Errors]] = []
-    for name, errors in _models(folder, models, points):
+    for name, errors in models_of(folder, models, points):
         found.append(errors)
         disputed = sum(one.disputed for one in errors.values())
         typer.echo(f"{sum(e.patches for e in errors.values()):6} {disputed:6} {name}", err=True)

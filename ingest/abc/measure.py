@@ -249,9 +249,13 @@ class _Corners:
                 uv = self.uv[rows].copy()
                 uv[:, 1, axis] += one * period[rows, axis]
                 uv[:, 2, axis] += two * period[rows, axis]
-                turn = _turn(uv, self.free[rows]) * np.sign(votes[self.patch[rows]])
-                better = (turn > 0) & (turn < best * (1 - 1e-9))
-                chosen[better], best[better] = uv[better], turn[better]
+                free = self.free[rows]
+                turn = _turn(uv, free) * np.sign(votes[self.patch[rows]])
+                end = np.where(free[:, axis], uv[:, 1, axis], uv[:, 2, axis])
+                first, second = uv[:, 0, axis], uv[:, 1, axis]
+                length = (second - first) ** 2 + (end - second) ** 2 + (first - end) ** 2
+                better = (turn > 0) & (length < best * (1 - 1e-9))
+                chosen[better], best[better] = uv[better], length[better]
             self.uv[rows] = chosen
 
     def ranges(

@@ -164,6 +164,18 @@ def test_resumed_on_another_number_of_ranks(clouds):
     assert all(torch.equal(a, b) for a, b in zip(found, order, strict=True))
 
 
+def test_the_last_batch_ends_the_epoch(clouds):
+    """Lightning takes as many batches as there are, and does not ask for one more."""
+    loader = Loader(clouds, 5)
+    running = iter(loader)
+    for _ in range(len(loader)):
+        next(running)
+    assert (loader.state_dict()["epoch"], loader.state_dict()["cursor"]) == (1, 0)
+    second = Loader(clouds, 5)
+    second.set_epoch(1)
+    assert epoch(loader) == epoch(second)
+
+
 def test_leaving_an_epoch_begins_it_anew(clouds):
     loader = Loader(clouds, 5, workers=2, **WORKERS)
     first = content(next(iter(loader)))
