@@ -29,6 +29,13 @@ __all__ = ["TOLERANCES", "Errors", "compare", "main", "models_of", "report", "to
 TOLERANCES: Final = {"position": 1e-12, "normal": 1e-10, "curvature": 1e-7}
 """Largest differences: of the model's size; of unit vectors; relative to the larger curvature."""
 
+_ROUNDING: Final = {"position": 1e-12, "normal": 1e-6, "curvature": 1e-3}
+"""Differences up to which rounding may be to blame, so that extended precision decides. It has
+our formulas and parameters: of position, and of more than this, Open CASCADE is the judge."""
+
+_SELDOM: Final = 1e-3
+"""Share of points that may be disputed: a wrong formula would be wrong at most of them."""
+
 _FLAT: Final = 1e-9
 """Curvatures below this over the model's size are compared with it: a flat patch has none."""
 
@@ -71,12 +78,14 @@ class Errors:
 
     @property
     def failed(self) -> list[str]:
-        """Names of the tolerances that we exceed, as far as that can be decided."""
-        return [name for name, limit in TOLERANCES.items() if not self._own(name) <= limit]
+        """Names of the tolerances that we exceed."""
+        return [name for name, limit in TOLERANCES.items() if not self._within(name, limit)]
 
-    def _own(self, name: str) -> float:
-        """Return our worst error: at disputed points, that against extended precision."""
-        return self.ours[name] if self.worst[name] > TOLERANCES[name] else self.worst[name]
+    def _within(self, name: str, limit: float) -> bool:
+        if self.worst[name] <= limit:
+            return True
+        seldom = self.disputed <= max(_SELDOM * self.points, 1)
+        return seldom and self.worst[name] <= _ROUNDING[name] and self.ours[name] <= limit
 
 
 def _raise(worst: dict[str, float], new: dict[str, float]) -> None:

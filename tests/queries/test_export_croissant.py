@@ -6,13 +6,14 @@ import json
 import shutil
 from pathlib import Path
 
-import mlcroissant as mlc
 import pytest
 
 import breplake
 from breplake.errors import UsageError
 from breplake.queries.export_croissant import croissant, write_croissant
 from breplake.schema.tables import TABLES
+
+mlc = pytest.importorskip("mlcroissant")
 
 pytestmark = pytest.mark.filterwarnings(
     # warnings of mlcroissant and its dependencies about each other

@@ -6,7 +6,6 @@ import json
 import os
 from datetime import timedelta
 
-import deltalake
 import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
@@ -17,6 +16,8 @@ from breplake.queries.export_delta import delta_schema, export_delta
 from breplake.schema.gc import Retention, collect
 from breplake.schema.lake import LakeStore
 from breplake.schema.tables import TABLES
+
+deltalake = pytest.importorskip("deltalake")
 
 META = {"message": "m", "tools": {}, "config_hash": "c"}
 

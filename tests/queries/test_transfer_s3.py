@@ -7,7 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
 
 import pytest
-from moto.server import ThreadedMotoServer
 from typer.testing import CliRunner
 
 import breplake
@@ -17,6 +16,8 @@ from breplake.queries.versions.mirror import copy_files, mirror
 from breplake.schema.gc import Retention, collect
 from breplake.schema.lake import LakeStore
 from breplake.schema.snapshot import FileEntry
+
+ThreadedMotoServer = pytest.importorskip("moto.server").ThreadedMotoServer
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of botocore and moto
 

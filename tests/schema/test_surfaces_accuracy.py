@@ -11,8 +11,8 @@ pytest.importorskip("OCP")
 from breplake.bench.accuracy.evaluate import (
     TOLERANCES,
     Errors,
-    models_of,
     compare,
+    models_of,
     report,
     total,
 )
@@ -31,7 +31,7 @@ def test_sample_parts(tmp_path):
     from breplake.ingest.samples import PARTS as ALL
     from breplake.ingest.samples import write_samples
 
-    names = list(ALL)[::5]
+    names = list(ALL)[::9]
     errors = total(compared(path, 20) for path in write_samples(tmp_path, names))
     assert {"Plane", "Cylinder", "Cone", "Torus", "BSpline"} <= set(errors)
     for kind, one in errors.items():
