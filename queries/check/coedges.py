@@ -33,7 +33,9 @@ _SAMPLES: Final = 9
     source=True,
 )
 def coedge_pcurves(view: ModelView) -> Iterator[Measure]:
-    """Measure which coedges have a pcurve."""
+    """Measure which coedges have a pcurve, in models that keep how they are stored."""
+    if not view.count("shapes"):
+        return
     patch = view.ints("coedges", "patch_id")
     plane = view.words("patches", "type")[patch] == "Plane"
     given = view.ints("coedges", "pcurve") != MISSING

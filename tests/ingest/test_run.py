@@ -238,7 +238,7 @@ def test_a_crash_is_attributed_and_the_next_rung_follows(tmp_path, stage):
     (item,) = find_inputs([write_samples(tmp_path / "in", ["ring_o"])[0]])
     result = Result(item, Spool(tmp_path))
     result.spool.start()
-    result.spool.begin()
+    result.spool.begin("a")
     result.spool.mark(stage if ":" in stage else f"{stage}:")
     again = _killed(error, result, Settings())
     assert again == {"import": 2, "mesh:uniform": 1, "truth:uniform": 1}.get(stage)
