@@ -75,8 +75,9 @@ def test_surfaces(name, motion):
         normal = np.cross(vector(du), vector(dv))
         expected = vector(point) + row["offset"] * normal / np.linalg.norm(normal)
         np.testing.assert_allclose(vector(surface.Value(u, v)), expected, atol=1e-12)
-        # and that is the place to which the motion takes the surface
-        there = vector(SURFACES[name].Value(u, v).Transformed(motions()[motion]))
+        # and that is the place to which the motion takes the surface, whose v may be a length
+        scale = abs(motions()[motion].ScaleFactor()) if name in ("Cylinder", "Extrusion") else 1
+        there = vector(SURFACES[name].Value(u, v / scale).Transformed(motions()[motion]))
         np.testing.assert_allclose(expected, there, atol=1e-12)
 
 

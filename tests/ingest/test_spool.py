@@ -11,7 +11,14 @@ from breplake.schema.tables import COEDGES
 
 
 def coedges(n):
-    row = {"model_id": 1, "patch_id": 0, "loop": 0, "curve_id": 0, "reversed": False}
+    row = {
+        "model_id": 1,
+        "patch_id": 0,
+        "loop": 0,
+        "curve_id": 0,
+        "reversed": False,
+        "internal": False,
+    }
     return {"coedges": COEDGES.from_rows(row | {"place": i} for i in range(n))}
 
 
