@@ -31,9 +31,11 @@ values = st.recursive(
 
 @given(st.dictionaries(st.text(), values))
 def test_yaml_is_read_back_bit_for_bit(data):
-    assert repr(yaml.load(yaml_text(data), yaml.CSafeLoader)) == repr(
-        {key: data[key] for key in sorted(data)}
-    ) or yaml.load(yaml_text(data), yaml.CSafeLoader) == data
+    assert (
+        repr(yaml.load(yaml_text(data), yaml.CSafeLoader))
+        == repr({key: data[key] for key in sorted(data)})
+        or yaml.load(yaml_text(data), yaml.CSafeLoader) == data
+    )
 
 
 def test_yaml_of_what_is_not_finite():
@@ -68,7 +70,9 @@ def test_names_are_reversible(name):
         assert (found.model, found.kind) == (name, kind)
 
 
-@pytest.mark.parametrize("name", ["a/b/c", "a%2Fb", ".a", ORIGINAL, ORIGINAL[:-4], "a_features_001"])
+@pytest.mark.parametrize(
+    "name", ["a/b/c", "a%2Fb", ".a", ORIGINAL, ORIGINAL[:-4], "a_features_001"]
+)
 def test_awkward_names_are_reversible(name):
     stored = file_name(name, "features")
     assert "/" not in stored

@@ -21,9 +21,13 @@ from breplake.queries.check.run import ORDERED_RULES, check_model
 from breplake.queries.check.view import ModelView
 from breplake.schema.arrays import MESH_ARRAYS
 from breplake.schema.curves import CurveSet
+from breplake.schema.shape_tables import SHAPE_TABLES
 from breplake.schema.tables import TABLES
 
 Rows = dict[str, list[dict[str, Any]]]
+# Solids made by hand have no shape graph: test_check_shapes spoils that of a real part.
+_STORED = {table.name for table in SHAPE_TABLES}
+HAND_MADE = [r for r in REFERENCES if r[0] not in _STORED]
 SOLIDS = ("box", "cylinder", "cone", "torus", "saddle", "wires")
 NULL_DIRECTIONS = {"d_min": None, "d_max": None}
 
@@ -306,7 +310,7 @@ def test_faults_of_an_invalid_file_are_listed_but_excused(
     assert broken_rules(spoilt) == {r for r in caught if not MODEL_RULES[r].source}
 
 
-@pytest.mark.parametrize(("table", "column", "target", "nullable"), REFERENCES)
+@pytest.mark.parametrize(("table", "column", "target", "nullable"), HAND_MADE)
 @pytest.mark.parametrize("wrong", [-1, 10_000])
 def test_references(
     solid: Any, table: str, column: str, target: str, nullable: bool, wrong: int

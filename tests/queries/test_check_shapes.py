@@ -3,11 +3,14 @@
 import pyarrow as pa
 import pytest
 
+from breplake.queries.check.ids import REFERENCES
 from breplake.queries.check.rules import MODEL_RULES, Tally
 from breplake.queries.check.run import ORDERED_RULES, check_model
 from breplake.queries.check.view import ModelView
+from breplake.schema.shape_tables import SHAPE_TABLES
 from breplake.schema.tables import TABLES
 
+STORED = {table.name for table in SHAPE_TABLES}
 RULES = ("shape-graph", "placements", "shape-rows", "edge-curves")
 COEDGE_RULES = ("coedge-pcurves", "pcurve-on-curve", "pcurve-loops")
 
@@ -130,3 +133,17 @@ def test_a_pcurve_that_ends_elsewhere_opens_its_loop(model):
 
 def test_every_rule_here_is_registered():
     assert set(RULES) | set(COEDGE_RULES) <= set(MODEL_RULES)
+
+
+@pytest.mark.parametrize("reference", [r for r in REFERENCES if r[0] in STORED])
+def test_references_of_stored_shapes(model, reference):
+    table, column, *_ = reference
+    rows = model[1][table].to_pylist()
+    if not rows:
+        pytest.skip(f"the part has no {table}")
+    rows[0][column] = 10**6
+    tables = model[1] | {table: pa.Table.from_pylist(rows, schema=TABLES[table].schema)}
+    tally = Tally(MODEL_RULES["references"])
+    for measure in MODEL_RULES["references"].measure(ModelView(model[0], tables)):
+        tally.add(measure, "model")
+    assert tally.failed == 1
