@@ -15,6 +15,7 @@ from breplake.loaders.samples import GridSample
 
 __all__ = ["GridDataset"]
 
+
 class GridDataset(SampleDataset[GridSample]):
     """UV-grids of all patches and curves of the models, and which patches meet at which curve.
 
