@@ -30,7 +30,7 @@ def ingest(
         list[Path] | None,
         typer.Argument(help="CAD files and folders of them.", metavar="SOURCE..."),
     ] = None,
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     collection: Annotated[
         str | None,
         typer.Option(help="Collection of the models; the source folder's name if not given."),
@@ -130,7 +130,7 @@ def _stop_signals(errors: Console) -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
-def _report_status(out: Console, lake: Path) -> None:
+def _report_status(out: Console, lake: str) -> None:
     """Print the ingests that run on a lake, and what their workers do."""
     from rich.markup import escape
 
@@ -195,7 +195,7 @@ class _Bar:
         self.bar.update(self.task, total=len(plan.todo), completed=done, rate=rate, failed=failed)
 
 
-def _report(out: Console, summary: Summary, lake: Path) -> None:
+def _report(out: Console, summary: Summary, lake: str) -> None:
     """Print what became of the inputs, and where to look next."""
     from rich.markup import escape
 
