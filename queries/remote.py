@@ -24,7 +24,7 @@ def lake_url(path: str) -> str:
     return f"{PROTOCOL}://{path}"
 
 
-class LakeFiles(AbstractFileSystem):
+class LakeFiles(AbstractFileSystem):  # type: ignore[misc]  # fsspec ships no types
     """The files of a lake, for ``duckdb.DuckDBPyConnection.register_filesystem``.
 
     Parameters

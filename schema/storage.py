@@ -207,6 +207,14 @@ class Storage:
         found = obstore.list_with_delimiter(self.connection, folder)["objects"]
         return sorted(PurePosixPath(item["path"]).name for item in found)
 
+    def entries(self) -> list[str]:
+        """Return the sorted names of the files and folders right in it."""
+        if self._local is not None:
+            return sorted(os.listdir(self._local))
+        found = obstore.list_with_delimiter(self.connection)
+        paths = [*found["common_prefixes"], *(item["path"] for item in found["objects"])]
+        return sorted(PurePosixPath(path).name for path in paths)
+
     def files(self, folder: str) -> Iterator[StoredFile]:
         """Yield all files below `folder`, also those that a killed writer left half-written."""
         if self._local is not None:

@@ -7,7 +7,10 @@ import pickle
 
 import numpy as np
 import pytest
+import zarr
+from obstore.store import from_url
 from typer.testing import CliRunner
+from zarr.storage import ObjectStore
 
 import breplake
 from breplake.cli import app
@@ -63,6 +66,10 @@ def test_sql_reads_only_what_it_needs(own_lake, bucket, monkeypatch):
     assert {path.split("/")[1] for path in opened} == {"models"}
 
 
+def rows_of(reader):
+    return reader.rows("normal")
+
+
 def test_arrays_and_datasets(own_lake, bucket):
     torch = pytest.importorskip("torch")
     from breplake.loaders import Loader, MeshDataset
@@ -75,13 +82,15 @@ def test_arrays_and_datasets(own_lake, bucket):
             rows = ours.rows(name)
             np.testing.assert_array_equal(theirs.read(name, 0, rows), ours.read(name, 0, rows))
             np.testing.assert_array_equal(theirs.read(name, 3, 5), ours.read(name, 3, 5))
+        stored = zarr.open_group(ObjectStore(from_url(f"{bucket}/{entry.path}")), mode="r")
+        np.testing.assert_array_equal(stored["normal"][:], ours.read("normal", 0, rows_of(ours)))
     mine, remote = MeshDataset(own_lake), MeshDataset(bucket)
     assert len(mine) == len(remote) == 4
     for a, b in zip(mine, remote, strict=True):
         assert torch.equal(a.positions, b.positions)
         assert torch.equal(a.triangles, b.triangles)
     loader = Loader(remote, 2, shuffle=False, workers=1)
-    names = [name for batch in loader for name in batch.samples.name]
+    names = [name for batch in loader for name in batch.names]
     assert names == [sample.name for sample in mine]
 
 
@@ -136,9 +145,10 @@ def test_subsets(own_lake, bucket):
     there = published(own_lake, bucket)
     made = create_subset(there, "large", where="area > 100")
     assert breplake.open(bucket).subset("large") == made
-    assert made.ids().tolist() == create_subset(
-        breplake.open(own_lake), "large", where="area > 100"
-    ).ids().tolist()
+    assert (
+        made.ids().tolist()
+        == create_subset(breplake.open(own_lake), "large", where="area > 100").ids().tolist()
+    )
 
 
 def test_damage(own_lake, bucket):

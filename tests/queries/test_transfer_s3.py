@@ -11,7 +11,8 @@ from typer.testing import CliRunner
 import breplake
 from breplake.cli import app
 from breplake.errors import CommitConflictError, LakeNotFoundError, UsageError
-from breplake.queries.versions.mirror import copy_files, mirror
+from breplake.queries.versions.mirror import mirror
+from breplake.schema.copies import copy_files
 from breplake.schema.gc import Retention, collect
 from breplake.schema.lake import LakeStore
 from breplake.schema.snapshot import FileEntry

@@ -15,7 +15,7 @@ from breplake.errors import BreplakeError, UsageError
 
 if TYPE_CHECKING:
     from breplake.queries.versions.extract import Extracted, Selection
-    from breplake.queries.versions.mirror import Copied
+    from breplake.schema.copies import Copied
     from breplake.schema.lake import LakeStore
     from breplake.schema.snapshot import Snapshot
 
