@@ -5,10 +5,11 @@ from __future__ import annotations
 import errno
 import os
 import platform
+import re
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -163,18 +164,24 @@ def _writable(lake: str | Path) -> Iterator[None]:
     """Turn the file system's refusals in a block into clear errors about the lake."""
     try:
         yield
-    except BaseError as error:
-        raise StorageError(
-            f"the lake {lake} cannot be reached or written: check its address, the credentials and "
-            f"the network, and run the same command again; what is committed is whole ({error})"
-        ) from error
-    except OSError as error:
-        if isinstance(error, BreplakeError) or error.errno not in _HELP:
+    except (BaseError, OSError) as error:
+        help_ = _HELP.get(_number(error) or 0)
+        if help_ is None and isinstance(error, BaseError):
+            help_ = "or not be reached: check its address, the credentials and the network"
+        if help_ is None or isinstance(error, BreplakeError):
             raise
         raise StorageError(
-            f"the lake {lake} cannot be written, {_HELP[error.errno]} and run the same command "
+            f"the lake {lake} cannot be written, {help_} and run the same command "
             f"again; what is committed is whole ({error})"
         ) from error
+
+
+def _number(error: Exception) -> int | None:
+    """Return the system's number of an error; obstore only has it in its text."""
+    if isinstance(error, OSError) and error.errno is not None:
+        return error.errno
+    found = re.search(r"os error (\d+)", str(error))
+    return int(found[1]) if found else None
 
 
 class _Run:
@@ -195,19 +202,20 @@ class _Run:
         self.started = time.time()
         self.report: Callable[[Plan, Summary], None] = lambda _plan, _summary: None
 
-    def __call__(self, shards: Iterator[_Shard]) -> Summary:
+    def __call__(self, shards: Generator[_Shard]) -> Summary:
         """Commit every shard as it comes."""
         begin = time.monotonic()
         self.journal.write("plan", todo=len(self.plan.todo), inputs=len(self.plan.inputs))
         self._tell()
-        for shard in shards:
-            self._commit(shard)
+        with closing(shards):  # workers end with the run, also if a commit fails
+            for shard in shards:
+                self._commit(shard)
         self.summary.stopped = self.summary.stopped or self.summary.n_done < len(self.plan.todo)
         self.summary.seconds = time.monotonic() - begin
         self.journal.write("end", stopped=self.summary.stopped, seconds=self.summary.seconds)
         return self.summary
 
-    def here(self, jobs: int | None, stop: Callable[[], bool]) -> Iterator[_Shard]:
+    def here(self, jobs: int | None, stop: Callable[[], bool]) -> Generator[_Shard]:
         """Yield shards that this machine ingests; the last may be cut short."""
         jobs = jobs or len(os.sched_getaffinity(0))
         shards = _Shards(self.plan)
@@ -236,7 +244,7 @@ class _Run:
 
     def on_cluster(
         self, address: str | None, jobs: int | None, stop: Callable[[], bool], work: Path | None
-    ) -> Iterator[_Shard]:
+    ) -> Generator[_Shard]:
         """Yield shards that the nodes of a cluster ingest and put into the lake."""
         from breplake.ingest.cluster import run_shards
 

@@ -224,12 +224,17 @@ def same_but_shard(a, b):
 def test_a_cluster_that_loses_a_node(parts, whole, cluster, tmp_path):
     lake = tmp_path / "lake"
     log = tmp_path / "log"
-    done = threading.Event()
+    done, killed, seen = threading.Event(), threading.Event(), set()
 
     def kill():
-        while not done.is_set() and not list((tmp_path / "work").rglob("begun")):
+        """Kill a node once both are at work, and see who works."""
+        while not done.is_set():
+            begun = {path.parents[1].name for path in (tmp_path / "work").rglob("begun")}
+            seen.update(begun)
+            if len(begun) == 2 and not killed.is_set():
+                killed.set()
+                cluster.remove_node(cluster.nodes[0], allow_graceful=False)
             time.sleep(0.02)
-        cluster.remove_node(cluster.nodes[0], allow_graceful=False)
 
     killer = threading.Thread(target=kill)
     killer.start()
@@ -241,6 +246,8 @@ def test_a_cluster_that_loses_a_node(parts, whole, cluster, tmp_path):
     finally:
         done.set()
         killer.join()
+    assert killed.is_set()
+    assert len(seen) == 4, "three shards, and one of them again"
     assert (summary.n_models, summary.n_fatal, summary.stopped) == (5, 1, False)
     assert (summary.n_meshed, summary.plan.new) == (5, summary.plan.inputs)
     found = breplake.open(lake)
@@ -254,6 +261,6 @@ def test_a_cluster_that_loses_a_node(parts, whole, cluster, tmp_path):
 def test_a_cluster_and_object_storage(parts, whole, bucket, cluster, tmp_path):
     run.ingest([parts], bucket, settings=COARSE, collection="c", engine="ray", jobs=1)
     assert_same(contents(breplake.open(bucket)), whole)
-    with pytest.raises(UsageError, match="lower --jobs"):
-        run.ingest([parts], bucket, engine="ray", jobs=2, redo=Redo(changed=True), collection="c")
     assert not left_over(tmp_path / "cache")
+    with pytest.raises(UsageError, match="lower --jobs"):
+        run.ingest([parts], bucket, engine="ray", jobs=2, collection="d")
