@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow.parquet as pq
 
-from breplake.queries.check import arrays as _arrays
 from breplake.queries.check import (
+    areas,
     coedges,
     counts,
     curves,
@@ -22,6 +22,7 @@ from breplake.queries.check import (
     topology,
     triangles,
 )
+from breplake.queries.check import arrays as _arrays
 from breplake.queries.check.files import LakeView
 from breplake.queries.check.report import Report
 from breplake.queries.check.rules import LAKE_RULES, MODEL_RULES, Tally
@@ -42,7 +43,7 @@ Progress = Callable[[int, int, str], None]
 
 RULE_MODULES = (
     *(ids, counts, parts, topology, shapes, parameters, curves, coedges),
-    *(points, triangles, _arrays),
+    *(areas, points, triangles, _arrays),
 )
 """The modules whose rules are registered by importing them."""
 

@@ -7,10 +7,11 @@ import pytest
 
 pytest.importorskip("OCP")
 
+import typer
 from typer.testing import CliRunner
 
 import breplake
-from breplake.bench.robustness import fuzz
+from breplake.bench.robustness import fuzz, kills
 from breplake.bench.robustness.mutations import FAULTS, mutated
 from breplake.ingest.samples import write_samples
 
@@ -56,7 +57,6 @@ def test_mutants_are_all_accounted_for(part, tmp_path):
 @pytest.mark.skipif(not CORPUS.is_dir(), reason="needs the corpus")
 def test_mutants_of_the_corpus():
     command = [str(CORPUS), "--hang", str(CORPUS / HANG)]
-    import typer
 
     app = typer.Typer()
     app.command()(fuzz.main)
@@ -65,3 +65,32 @@ def test_mutants_of_the_corpus():
     assert result.exit_code == 0
     assert "502 files" in result.output
     assert "timeout in stage brep" in result.output
+
+
+def test_kills_show_nowhere(part, tmp_path):
+    options = ("--max-edge", "0.1", "--jobs", "1")
+    rng = random.Random(1)
+    kills.disturbed([part], tmp_path / "whole", kills=0, longest=0, rng=rng, options=options)
+    whole = kills.contents(tmp_path / "whole")
+    assert len(whole["models"]) == 1
+    lake = tmp_path / "lake"
+    done = kills.disturbed([part], lake, kills=2, longest=4, rng=rng, options=options)
+    assert 0 < done <= 2
+    assert kills.differences(lake, whole) == []
+    stray = lake / "tables/models/stray.parquet"
+    stray.write_bytes(b"left by a writer")
+    assert kills.differences(lake, whole) == []  # gc removes it
+    assert not stray.exists()
+    changed = whole | {"patches": whole["patches"].head(0)}
+    assert kills.differences(lake, changed) == ["lake: patches differ"]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not CORPUS.is_dir(), reason="needs the corpus")
+def test_kills_on_the_corpus():
+    app = typer.Typer()
+    app.command()(kills.main)
+    result = CliRunner().invoke(app, [str(CORPUS)])
+    print(result.output)
+    assert result.exit_code == 0
+    assert "50 kills" in result.output
