@@ -30,6 +30,7 @@ from breplake.ingest.refine import refine, surface_periods
 from breplake.ingest.rows import brep_columns, brep_tables, mesh_columns, mesh_tables
 from breplake.ingest.settings import RUNGS, Settings
 from breplake.ingest.spool import HANG_EXIT, Spool
+from breplake.ingest.swept import swept_areas
 from breplake.ingest.tessellation import tessellate
 from breplake.ingest.truth import derive, wind
 from breplake.ingest.unpack import unpacked
@@ -143,6 +144,9 @@ class _Model:
         with KERNEL():
             valid = BRepCheck_Analyzer(shapes.compound).IsValid()
         self.tables = brep_tables(self.id, brep)
+        if areas := swept_areas(self.tables):
+            brep.set_areas(areas)
+            self.tables = brep_tables(self.id, brep)
         self.row = (
             self._source_columns()
             | brep_columns(brep)

@@ -38,7 +38,7 @@ from OCP.TopAbs import TopAbs_Orientation
 from OCP.TopLoc import TopLoc_Location
 
 from breplake.errors import LakeFormatError, NameNotFoundError
-from breplake.ingest.brep import INTEGRAL
+from breplake.ingest.mass import INTEGRAL
 from breplake.ingest.canonical import canonical
 from breplake.ingest.load import load
 from breplake.ingest.lossless.compare import differences, measure
