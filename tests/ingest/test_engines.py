@@ -247,7 +247,7 @@ def test_a_cluster_that_loses_a_node(parts, whole, cluster, tmp_path):
         done.set()
         killer.join()
     assert killed.is_set()
-    assert len(seen) == 4, "three shards, and one of them again"
+    assert len(seen) == 4, f"three shards, and one of them again, not {seen}"
     assert (summary.n_models, summary.n_fatal, summary.stopped) == (5, 1, False)
     assert (summary.n_meshed, summary.plan.new) == (5, summary.plan.inputs)
     found = breplake.open(lake)
