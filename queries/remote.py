@@ -13,7 +13,7 @@ from fsspec import AbstractFileSystem
 from breplake.schema.ranges import RangeReader
 from breplake.schema.storage import Storage
 
-__all__ = ["PROTOCOL", "LakeFiles", "lake_url"]
+__all__ = ["PROTOCOL", "LakeFiles", "lake_path", "lake_url"]
 
 PROTOCOL: Final = "breplake"
 """What the paths begin with for which DuckDB asks `LakeFiles`."""
@@ -22,6 +22,11 @@ PROTOCOL: Final = "breplake"
 def lake_url(path: str) -> str:
     """Return what DuckDB calls the file `path`, which is relative to the lake."""
     return f"{PROTOCOL}://{path}"
+
+
+def lake_path(url: str) -> str:
+    """Return the file that `lake_url` named, relative to the lake."""
+    return url.removeprefix(f"{PROTOCOL}://")
 
 
 class LakeFiles(AbstractFileSystem):  # type: ignore[misc]  # fsspec ships no types

@@ -13,6 +13,7 @@ from breplake.queries.names import did_you_mean
 from breplake.queries.rows import RowReader
 from breplake.schema.array_reader import ArrayShardReader
 from breplake.schema.lake import LakeStore
+from breplake.schema.older import CONTRACT
 from breplake.schema.snapshot import ARRAYS_TABLE, FileEntry, Snapshot
 from breplake.schema.tables import TABLES
 
@@ -153,6 +154,7 @@ class Lake:
 
     def _connect(self) -> duckdb.DuckDBPyConnection:
         import duckdb
+        import pyarrow as pa
 
         from breplake.queries.views import create_views
 
@@ -166,8 +168,9 @@ class Lake:
             },
         )
         try:
-            create_views(connection, self._views(connection))
-        except duckdb.Error as error:
+            uniform = self.snapshot.contract == CONTRACT
+            create_views(connection, self._views(connection), uniform, self._opened)
+        except (duckdb.Error, OSError, pa.ArrowException) as error:
             raise LakeFormatError(f"the lake is damaged ({error}): run breplake check") from error
         return connection
 
@@ -183,6 +186,14 @@ class Lake:
             table: [self.sql_path(entry) for entry in self.snapshot.table_files(table)]
             for table in TABLES
         }
+
+    def _opened(self, path: str) -> Any:
+        """Return what pyarrow reads a file from that `_views` named."""
+        if self.store.storage.is_local:
+            return path
+        from breplake.queries.remote import lake_path
+
+        return self.store.storage.reader(lake_path(path))
 
     def sql_path(self, entry: FileEntry) -> str:
         """Return what `connection` calls a file of the lake: its path, where it is local."""
@@ -305,11 +316,17 @@ class Lake:
 
         _require_table(table)
         paths = self.sources(table)
-        if paths:
-            return pl.scan_parquet(paths, glob=False, hive_partitioning=False)
         empty = pl.from_arrow(TABLES[table].empty())
         assert isinstance(empty, pl.DataFrame)  # from_arrow of a table is a frame
-        return empty.lazy()
+        if not paths:
+            return empty.lazy()
+        return pl.scan_parquet(
+            paths, glob=False, hive_partitioning=False, schema=empty.schema,
+            missing_columns="insert", extra_columns="ignore",
+            cast_options=pl.ScanCastOptions(
+                missing_struct_fields="insert", extra_struct_fields="ignore"
+            ),
+        )  # fmt: skip
 
     def read(self, table: str, model_id: int, columns: Sequence[str] | None = None) -> pa.Table:
         """Return the rows of one model, sorted by the table's key; only its shard is read.

@@ -150,7 +150,9 @@ def test_there_are_commands():
     assert {f"breplake {command}" for command in wanted} <= names
 
 
-@pytest.mark.parametrize(("name", "command"), cli_commands(), ids=lambda x: str(x).split()[-1])
+@pytest.mark.parametrize(
+    ("name", "command"), [pytest.param(*pair, id=pair[0]) for pair in cli_commands()]
+)
 def test_every_command_and_parameter_has_help(name: str, command: Any):
     assert (command.help or "").strip(), f"{name} has no help"
     for parameter in command.params:
