@@ -264,5 +264,17 @@ def test_a_cluster_and_object_storage(parts, whole, bucket, cluster, tmp_path):
     run.ingest([parts], bucket, settings=COARSE, collection="c", engine="ray", jobs=1)
     assert_same(contents(breplake.open(bucket)), whole)
     assert not left_over(tmp_path / "cache")
+    (tmp_path / "none").mkdir()
+    run.ingest([tmp_path / "none"], tmp_path / "other", engine="ray")
     with pytest.raises(UsageError, match="lower --jobs"):
         run.ingest([parts], bucket, engine="ray", jobs=2, collection="d")
+    counts = []
+    stopped = run.ingest(
+        [parts], tmp_path / "lake", settings=COARSE, collection="c", engine="ray", jobs=1,
+        progress=lambda _, summary: counts.append(summary.n_done), stop=lambda: counts[-1] > 0,
+    )  # fmt: skip
+    assert stopped.stopped
+    assert 2 <= stopped.n_done < 6
+    rest = run.ingest([parts], tmp_path / "lake", settings=COARSE, jobs=1, collection="c")
+    assert rest.n_done == 6 - stopped.n_done
+    same_but_shard(contents(breplake.open(tmp_path / "lake")), whole)

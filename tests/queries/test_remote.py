@@ -140,6 +140,8 @@ def test_commands(own_lake, bucket, tmp_path):
     assert call("diff", 1, 2, "--lake", bucket) == call("diff", 1, 2, "--lake", own_lake)
     result = CliRunner().invoke(app, ["check", bucket])
     assert (result.exit_code, "breplake pull" in result.stderr) == (2, True)
+    result = CliRunner().invoke(app, ["pull", str(own_lake), "--lake", bucket])
+    assert (result.exit_code, "to a folder of this machine" in result.stderr) == (2, True)
     result = CliRunner().invoke(app, ["info", "--lake", "s3://no-such-bucket-here/x"])
     assert result.exit_code == 2
     assert result.stderr.startswith("breplake: ")
