@@ -324,3 +324,13 @@ def test_half_a_model_is_refused(left_out, kind, bar):
     assert item.failure is not None
     assert item.failure.kind == kind
     assert "put it beside" in item.failure.message
+
+
+def test_the_guide_names_every_repair_and_refusal():
+    from breplake.ingest.abc.repair import REPAIRS
+
+    guide = (Path(__file__).parents[2] / "docs" / "abc.md").read_text(encoding="utf-8")
+    for code, fault in REPAIRS.items():
+        assert f"| `{code}` | {fault} |\n" in guide
+    for kind in ("no-features", "no-trimesh", "bad-features", "bad-mesh", "features-mismatch"):
+        assert f"| `{kind}` |" in guide
