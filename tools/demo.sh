@@ -43,10 +43,10 @@ run breplake sql "
     ORDER BY n_torus DESC" --lake "$lake"
 
 heading "Stream one batch of point clouds into torch"
-run python examples/stream_a_batch.py "$lake"
+run python examples/what_does_a_training_loop_get.py "$lake"
 
 heading "Draw the models, patches coloured by type"
-run python examples/draw_sheet.py "$lake" "$sheet"
+run python examples/what_do_the_models_look_like.py "$lake" "$sheet"
 name=$("$bin/breplake" sql "SELECT name FROM models ORDER BY n_torus DESC, name LIMIT 1" \
     --lake "$lake" --format csv | tail -n 1)
 run breplake show "$name" --lake "$lake" -o "$demo/model.png"

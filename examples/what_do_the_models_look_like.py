@@ -1,6 +1,6 @@
 """What do the models look like? Draw all of a lake on one contact sheet.
 
-Run it as ``python examples/draw_sheet.py demo/lake models.png``.
+Run it as ``python examples/what_do_the_models_look_like.py demo/lake models.png``.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What if training is killed? Go on with the very next batch, in the same order.
 
-Run it as ``python examples/resume_a_loader.py demo/lake``.
+Run it as ``python examples/what_if_training_is_killed.py demo/lake``.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 It sees a point with its normal and the principal curvatures there, and names the type of the
 patch: Plane, Cylinder, Torus ... Run it as
-``python examples/train_a_patch_segmentation.py demo/lake``.
+``python examples/can_a_network_tell_surface_types.py demo/lake``.
 """
 
 from __future__ import annotations

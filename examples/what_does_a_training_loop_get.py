@@ -1,6 +1,6 @@
 """What does a training loop get? Stream one batch of labelled point clouds into torch.
 
-Run it as ``python examples/stream_a_batch.py demo/lake``.
+Run it as ``python examples/what_does_a_training_loop_get.py demo/lake``.
 """
 
 from __future__ import annotations
