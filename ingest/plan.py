@@ -57,7 +57,7 @@ class Plan:
     Parameters
     ----------
     inputs : list of Input
-        All inputs, sorted by collection and name.
+        All inputs, sorted by collection and name; members of an archive in its order.
     new : list of Input
         Not in the lake.
     unchanged : list of Input
@@ -91,20 +91,22 @@ def plan(
     changed: list[Input] = []
     failed: list[Input] = []
     again: set[int] = set()
-    for item, (is_known, is_same, is_complete, kinds) in zip(
+    for item, (is_known, is_same, is_complete, was_unread, kinds) in zip(
         inputs, _states(store, inputs, settings.config_hash), strict=True
     ):
+        retried = redo.failed and (not redo.kinds or bool(set(redo.kinds) & set(kinds or ())))
         if not is_known:
             new.append(item)
         elif not is_same:
             changed.append(item)
-            if redo.changed:
+            # What could not be read before, a download say, has failed rather than changed.
+            if redo.changed or (retried and was_unread):
                 again.add(item.model_id)
         else:
             unchanged.append(item)
             if not is_complete:
                 failed.append(item)
-                if redo.failed and (not redo.kinds or set(redo.kinds) & set(kinds or ())):
+                if retried:
                     again.add(item.model_id)
     fresh = {item.model_id for item in new}
     todo = [item for item in inputs if item.model_id in fresh or item.model_id in again]
@@ -113,11 +115,11 @@ def plan(
 
 def _states(
     store: LakeStore, inputs: Sequence[Input], config_hash: str
-) -> Iterable[tuple[bool, bool, bool, list[str] | None]]:
+) -> Iterable[tuple[bool, bool, bool, bool, list[str] | None]]:
     """Return what the newest snapshot knows of each input, in their order.
 
-    Whether it has the input, of the same bytes and settings, with a mesh, and the kinds of its
-    failures. By columns: a lake may hold a million models.
+    Whether it has the input, of the same bytes and settings, with a mesh, whether its bytes could
+    not even be read, and the kinds of its failures. By columns: a lake may hold a million models.
     """
     import polars as pl
 
@@ -146,6 +148,7 @@ def _states(
             .otherwise(pl.col("sha256").eq_missing(pl.col("asked")))
         ).alias("is_same"),
         pl.col("mesh_kind").is_not_null(),
+        (pl.col("config_hash").is_null() & pl.col("sha256_failed").is_null()).alias("was_unread"),
         pl.col("kind"),
     )
     return state.collect().iter_rows()

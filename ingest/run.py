@@ -16,13 +16,15 @@ from typing import Final
 import pyarrow as pa
 
 from breplake.errors import BreplakeError, StorageError, UsageError
-from breplake.ingest.inputs import Input, find_inputs
+from breplake.ingest.inputs import Input
 from breplake.ingest.journal import Journal
 from breplake.ingest.plan import Plan, Redo, plan
 from breplake.ingest.pool import Result, discard, run_models
 from breplake.ingest.replace import remainder
 from breplake.ingest.settings import Settings
 from breplake.ingest.shard import SHARD_MODELS, write_shard
+from breplake.ingest.sources.limits import Limits
+from breplake.ingest.sources.resolve import Sources
 from breplake.ingest.versions import versions
 from breplake.ingest.workspace import Workspace
 from breplake.schema.lake import LakeStore
@@ -98,6 +100,8 @@ def ingest(
     progress: Callable[[Plan, Summary], None] | None = None,
     stop: Callable[[], bool] | None = None,
     log: Path | None = None,
+    limits: Limits | None = None,
+    tell: Callable[[str], None] | None = None,
 ) -> Summary:
     """Ingest CAD files into a lake, which is made if it does not exist.
 
@@ -108,7 +112,7 @@ def ingest(
     Parameters
     ----------
     sources : sequence of path
-        Files and folders.
+        Files, folders, archives, lists (``.csv``, ``.parquet``) and ``onshape:`` addresses.
     lake : path
         The lake's folder.
     settings : Settings, optional
@@ -128,11 +132,15 @@ def ingest(
         is committed.
     log : path, optional
         File to which a line of JSON is appended for each event.
+    limits : Limits, optional
+        How far archives are trusted.
+    tell : callable, optional
+        Called with a line of text while sources are looked through, which may take long.
 
     Raises
     ------
     UsageError
-        If a source or setting breaks a rule.
+        If a source or setting breaks a rule; RefusedSourceError if an archive is not safe.
     CommitConflictError
         If another writer added or replaced the same models meanwhile.
     StorageError
@@ -143,15 +151,16 @@ def ingest(
     jobs = jobs or len(os.sched_getaffinity(0))
     if jobs < 1:
         raise UsageError(f"jobs must be at least 1; got {jobs}")
-    inputs = find_inputs([Path(source) for source in sources], collection)
     text = message or f"ingest {', '.join(str(source) for source in sources)}"
-    with _writable(lake), Journal.open(log) as journal:
-        store = LakeStore.open_or_create(lake)
-        todo = plan(store, inputs, settings, redo)
-        with Workspace.open(store.root, settings) as workspace:
-            run = _Run(store, todo, settings, workspace, journal, text)
-            run.report = progress or run.report
-            return run(jobs, stop or (lambda: False))
+    with Sources.open(limits, tell, stop) as opened:
+        inputs = opened.find(sources, collection)
+        with _writable(lake), Journal.open(log) as journal:
+            store = LakeStore.open_or_create(lake)
+            todo = plan(store, inputs, settings, redo)
+            with Workspace.open(store.root, settings) as workspace:
+                run = _Run(store, todo, settings, workspace, journal, opened, text)
+                run.report = progress or run.report
+                return run(jobs, stop or (lambda: False))
 
 
 _HELP: Final = {
@@ -188,10 +197,12 @@ class _Run:
         settings: Settings,
         workspace: Workspace,
         journal: Journal,
+        sources: Sources,
         message: str,
     ) -> None:
         self.store, self.plan, self.settings = store, todo, settings
         self.workspace, self.journal, self.message = workspace, journal, message
+        self.sources = sources
         self.summary = Summary(todo)
         self.started = time.time()
         self.report: Callable[[Plan, Summary], None] = lambda _plan, _summary: None
@@ -225,9 +236,11 @@ class _Run:
                 continue
             self.summary.n_resumed += 1
             yield self._counted(Result(item, self.workspace.spool(item), failures))
-        for result in run_models(rest, self.settings, jobs, self.workspace.spool, stop):
-            self.workspace.close(result.input, result.failures)
-            yield self._counted(result)
+        with self.sources.fetcher(rest, self.workspace.folder / "unpacked") as fetcher:
+            models = run_models(rest, self.settings, jobs, self.workspace.spool, stop, fetcher)
+            for result in models:
+                self.workspace.close(result.input, result.failures)
+                yield self._counted(result)
 
     def _counted(self, result: Result) -> Result:
         self.summary.add(result)

@@ -11,7 +11,6 @@ import pyarrow as pa
 
 from breplake.ingest.failure import KILLED
 from breplake.ingest.geometry import Row
-from breplake.ingest.inputs import printable
 from breplake.ingest.pool import Result
 from breplake.schema.arrays import GRID_ARRAYS, ArrayShardWriter
 from breplake.schema.lake import LakeStore
@@ -92,7 +91,7 @@ def _failure_rows(result: Result, config_hash: str) -> list[Row]:
             "model_id": item.model_id,
             "collection": item.collection,
             "name": item.name,
-            "path": printable(item.path),
+            "path": item.shown,
             "bytes": item.bytes,
             "sha256": item.sha256,
             "stage": failure.stage,

@@ -27,13 +27,16 @@ _NAMED = 5  # changed files that are named before "and N more"
 
 def ingest(
     sources: Annotated[
-        list[Path] | None,
-        typer.Argument(help="CAD files and folders of them.", metavar="SOURCE..."),
+        list[str] | None,
+        typer.Argument(
+            help="CAD files, folders, archives, lists (.csv .parquet), onshape: addresses.",
+            metavar="SOURCE...",
+        ),
     ] = None,
     lake: LakeOption = Path("lake"),
     collection: Annotated[
         str | None,
-        typer.Option(help="Collection of the models; the source folder's name if not given."),
+        typer.Option(help="Collection of the models; the name of the source if not given."),
     ] = None,
     jobs: Annotated[
         int | None, typer.Option("--jobs", "-j", min=1, help="Worker processes; one per core.")
@@ -66,6 +69,9 @@ def ingest(
         list[str] | None,
         typer.Option(help="Retry only failures of this kind; may be given more than once."),
     ] = None,
+    max_expansion: Annotated[
+        float, typer.Option(help="How many times its size an archive may unpack to.")
+    ] = 250.0,
     log: Annotated[
         Path | None, typer.Option(help="Append a line of JSON for each event to this file.")
     ] = None,
@@ -76,6 +82,7 @@ def ingest(
     """Read CAD files, mesh them, derive the ground truth, and commit it all to a lake.
 
     Files are STEP (.step .stp .p21), IGES (.iges .igs) or BREP (.brep .brp), also with .gz.
+    Archives (.zip .7z .tar .tar.gz ...) are read member by member: see docs/sources.md.
     Every file ends as a row of models or of failures; what is in the lake is skipped. A run
     that was stopped or killed is taken up by the same command.
     """
@@ -87,6 +94,7 @@ def ingest(
     from breplake.ingest.plan import Redo
     from breplake.ingest.run import ingest as run
     from breplake.ingest.settings import Settings
+    from breplake.ingest.sources.limits import Limits
 
     settings = Settings(
         mesh=mesh, max_edge=max_edge, uv_grid=uv_grid, timeout=timeout, memory=memory
@@ -104,6 +112,8 @@ def ingest(
             progress=bar.update,
             stop=stop,
             log=log,
+            limits=Limits(expansion=max_expansion),
+            tell=bar.tell,
         )
     _report(console(), summary, lake)
     if summary.stopped:
@@ -185,6 +195,10 @@ class _Bar:
 
     def __exit__(self, *_: Any) -> None:
         self.bar.stop()
+
+    def tell(self, text: str) -> None:
+        """Show what is done before the number of models is known."""
+        self.bar.update(self.task, rate=text)
 
     def update(self, plan: Plan, summary: Summary) -> None:
         """Show where the run stands."""
