@@ -15,6 +15,7 @@ KINDS: Final[dict[str, str]] = {
     "not-a-file": "a CAD file is expected here; ingest goes into folders only when given as SOURCE",
     "unreadable": "the file cannot be opened; check its permissions and the disk",
     "bad-archive": "the compressed file cannot be unpacked; compress it again",
+    "refused": "it is not safe, so nothing of it is read",
     "encrypted": "it needs a password; pack it again without one",
     "too-large": "no CAD file is that large; check what it is",
     "bad-row": "the row of the list cannot be used; correct it",

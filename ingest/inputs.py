@@ -11,6 +11,7 @@ from typing import Final
 
 from breplake.errors import UsageError
 from breplake.ingest.failure import Failure, advise
+from breplake.ingest.printable import printable
 from breplake.ingest.sources.facts import NO_FACTS, Facts
 from breplake.ingest.sources.origin import Origin
 from breplake.schema.abc import ABC_FORMAT, AbcName, parse_name
@@ -22,7 +23,6 @@ __all__ = [
     "cad_format",
     "find_inputs",
     "model_name",
-    "printable",
     "read_input",
 ]
 
@@ -281,8 +281,3 @@ def _add(path: Path, digest: hashlib._Hash) -> Failure | None:
         detail = error.strerror or type(error).__name__
         return Failure("plan", "unreadable", advise("unreadable", detail), fatal=True)
     return None if size else Failure("plan", "empty-file", advise("empty-file", ""), fatal=True)
-
-
-def printable(path: Path | str) -> str:
-    """Return a path as text that UTF-8 columns can hold."""
-    return str(path).encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")

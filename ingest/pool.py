@@ -123,6 +123,7 @@ def run_models(
                 if again is not None:
                     running[_submit(pool, result, settings, again)] = result
                 else:
+                    _drop_fetched(result)
                     yield result
     except BrokenExecutor as error:
         raise kernels_unavailable() from error
@@ -139,6 +140,13 @@ def _fetched(future: concurrent.futures.Future[Input], result: Result) -> bool:
         result.failures.append(Failure("fetch", error.kind, str(error), fatal=True))
         return False
     return True
+
+
+def _drop_fetched(result: Result) -> None:
+    """Delete the bytes that were brought for a model: its shard may be far from complete."""
+    path = result.input.path
+    if result.input.origin is not None and path.parent == result.spool.folder:
+        path.unlink(missing_ok=True)
 
 
 def isolated_pool(jobs: int, memory: float, need: str) -> Any:

@@ -23,6 +23,7 @@ from breplake.ingest.pool import Result, discard, run_models
 from breplake.ingest.replace import remainder
 from breplake.ingest.settings import Settings
 from breplake.ingest.shard import SHARD_MODELS, write_shard
+from breplake.ingest.sources.archives import ARCHIVE
 from breplake.ingest.sources.limits import Limits
 from breplake.ingest.sources.resolve import Sources
 from breplake.ingest.versions import versions
@@ -70,6 +71,15 @@ class Summary:
     cpu_seconds: float = 0.0
     snapshot: Snapshot | None = None
     stopped: bool = False
+
+    @property
+    def refused(self) -> list[Input]:
+        """Archives among the inputs that are not safe, so that nothing of them was read."""
+        return [
+            item
+            for item in self.plan.inputs
+            if item.format == ARCHIVE and item.failure and item.failure.kind == "refused"
+        ]
 
     @property
     def n_done(self) -> int:
@@ -140,7 +150,8 @@ def ingest(
     Raises
     ------
     UsageError
-        If a source or setting breaks a rule; RefusedSourceError if an archive is not safe.
+        If a source or setting breaks a rule. An archive that is not safe is a failure, as all
+        members of it that are known.
     CommitConflictError
         If another writer added or replaced the same models meanwhile.
     StorageError
@@ -156,7 +167,7 @@ def ingest(
         inputs = opened.find(sources, collection)
         with _writable(lake), Journal.open(log) as journal:
             store = LakeStore.open_or_create(lake)
-            todo = plan(store, inputs, settings, redo)
+            todo = plan(store, inputs, settings, redo, opened.whole)
             with Workspace.open(store.root, settings) as workspace:
                 run = _Run(store, todo, settings, workspace, journal, opened, text)
                 run.report = progress or run.report
@@ -222,6 +233,8 @@ class _Run:
             self._commit(rest)
         elif self.summary.n_done < len(self.plan.todo):
             self.summary.stopped = True
+        else:
+            self._settle()
         self.summary.seconds = time.monotonic() - begin
         self.journal.write("end", stopped=self.summary.stopped, seconds=self.summary.seconds)
         return self.summary
@@ -261,6 +274,21 @@ class _Run:
             done=summary.n_done,
             failed=summary.n_fatal,
         )
+
+    def _settle(self) -> None:
+        """Take out the failures that hold no more."""
+        if not self.plan.settled:
+            return
+        with writer_lock(self.store.root):
+            kept, replaced = remainder(self.store, self.plan.settled)
+            if replaced:
+                self.summary.snapshot = self.store.commit(
+                    kept,
+                    message=self.message,
+                    tools=_tools(),
+                    config_hash=self.settings.config_hash,
+                    replaces=replaced,
+                )
 
     def _commit(self, shard: Sequence[Result]) -> None:
         redone = self.plan.redone & {result.input.model_id for result in shard}

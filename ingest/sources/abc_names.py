@@ -9,7 +9,7 @@ document that the model is from.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
@@ -37,6 +37,9 @@ ONSHAPE_TERMS: Final = "LicenseRef-Onshape-ToU-1.g.ii"
 
 _TERMS_CHANGED: Final = datetime(2018, 8, 7, tzinfo=UTC)
 """Since then the terms tell between plans and respect a tab named LICENSE, which no summary has."""
+
+_DEEPEST: Final = 30
+"""Collections in each other in the summary of a document, with room to spare."""
 
 _CHUNK: Final = re.compile(r"abc_(\d{4})_([a-z0-9]+)_v(\d+)\.7z", re.IGNORECASE)
 _STEP: Final = re.compile(r"(\d{8}_[0-9a-f]{24})_step_(\d{3})\.step")
@@ -101,16 +104,31 @@ def abc_facts(text: bytes) -> Facts:
         If PyYAML is not installed.
     """
     try:
-        import yaml
+        import yaml  # type: ignore[import-untyped]
     except ImportError as error:
         raise MissingExtraError("ingest", "reading ABC metadata") from error
     try:
-        summary = yaml.load(text, Loader=getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+        if _depth(yaml.parse(text, Loader=loader)) > _DEEPEST:
+            raise ValueError("its YAML is nested too deeply")  # LibYAML would crash on it
+        summary = yaml.load(text, Loader=loader)
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ValueError(f"its YAML cannot be parsed: {error}") from error
     if not isinstance(summary, dict):
         raise ValueError("it is no summary of a document")
     return document_facts(summary)
+
+
+def _depth(events: Iterable[Any]) -> int:
+    """Return how deeply the collections of a YAML document nest, or one more than is allowed."""
+    depth = deepest = 0
+    for event in events:
+        name = type(event).__name__
+        depth += name.endswith("StartEvent") - name.endswith("EndEvent")
+        deepest = max(deepest, depth)
+        if deepest > _DEEPEST:
+            break
+    return deepest
 
 
 def document_facts(summary: Mapping[str, Any]) -> Facts:
@@ -151,7 +169,13 @@ def _licence(summary: Mapping[str, Any]) -> str | None:
 
 
 def _text(value: Any) -> str | None:
-    """Return a value as text; None if it says nothing."""
-    if isinstance(value, list):
-        value = ", ".join(str(item) for item in value)
+    """Return a value or a list of values as text; None if it says nothing."""
+    if isinstance(value, list):  # of plain values: YAML can nest a gigabyte in a few lines
+        value = ", ".join(
+            text
+            for item in value
+            if not isinstance(item, list | dict | set) and (text := _text(item))
+        )
+    elif isinstance(value, dict | set | tuple):
+        return None
     return str(value) if value not in (None, "") else None

@@ -53,11 +53,14 @@ class Entry:
         As the archive has it.
     kind : {"file", "folder", "link", "special"}
         What it is; ``special`` are devices, pipes and sockets.
+    danger : str, optional
+        How it leads out of the archive, beside by its name.
     """
 
     place: int
     name: str
     kind: Literal["file", "folder", "link", "special"] = "file"
+    danger: str | None = None
 
 
 class Damage(Exception):
@@ -80,12 +83,23 @@ class Damage(Exception):
 class Taker(Protocol):
     """Takes the members of an archive while it is read from beginning to end.
 
-    :meth:`wants` is asked once for every member, in any order before its bytes come. The bytes of
-    the wanted ones come one member after the other, each ended by :meth:`done` or :meth:`failed`.
+    :meth:`wants` is asked once for every member, in any order before its bytes come; after the
+    last of them, and where the archive has a directory before any bytes, :meth:`listed` is called.
+    The bytes of the wanted ones come one member after the other, each ended by :meth:`done` or
+    :meth:`failed`.
     """
 
     def wants(self, entry: Entry) -> bool:
         """Whether the bytes of a member are wanted."""
+
+    def listed(self) -> None:
+        """Learn that all members are known.
+
+        Raises
+        ------
+        RefusedSourceError
+            If one of them is not safe.
+        """
 
     def more(self) -> bool:
         """Whether anything is wanted that has not come yet."""

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from breplake.ingest.printable import printable
+
 __all__ = ["NO_FACTS", "Facts"]
 
 
@@ -29,10 +31,10 @@ class Facts:
     def columns(self) -> dict[str, Any]:
         """Return the columns of ``models`` that these facts fill."""
         return {
-            "licence": self.licence,
-            "owner": self.owner,
-            "source_url": self.source_url,
-            "metadata": list(self.metadata),
+            "licence": _held(self.licence),
+            "owner": _held(self.owner),
+            "source_url": _held(self.source_url),
+            "metadata": [(printable(key), printable(value)) for key, value in self.metadata],
         }
 
     def over(self, other: Facts) -> Facts:
@@ -49,6 +51,10 @@ class Facts:
         """Return the facts of which :meth:`columns` made `columns`."""
         pairs = tuple((str(key), str(value)) for key, value in columns["metadata"])
         return cls(columns["licence"], columns["owner"], columns["source_url"], pairs)
+
+
+def _held(text: str | None) -> str | None:
+    return None if text is None else printable(text)
 
 
 NO_FACTS = Facts()

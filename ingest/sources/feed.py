@@ -10,7 +10,7 @@ from concurrent.futures import Future
 from pathlib import Path
 from typing import Final
 
-from breplake.errors import BreplakeError, InputError
+from breplake.errors import BreplakeError, InputError, RefusedSourceError
 from breplake.ingest.failure import advise
 from breplake.ingest.sources.entry import Damage
 from breplake.ingest.sources.limits import Limits
@@ -83,6 +83,8 @@ class ArchiveFeed:
                     self._futures[place].set_exception(InputError(kind, advise(kind, detail)))
         except Damage as damage:
             self._fail_rest(damage.kind, damage.detail)
+        except RefusedSourceError as error:
+            self._fail_rest("refused", str(error))
         except BreplakeError as error:
             self._fail_rest("bad-archive", str(error))
         else:

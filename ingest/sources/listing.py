@@ -17,7 +17,8 @@ import pyarrow.parquet as pq
 
 from breplake.errors import InputError, UsageError
 from breplake.ingest.failure import Failure, advise
-from breplake.ingest.inputs import FORMATS, Input, cad_format, model_name, printable, read_input
+from breplake.ingest.inputs import FORMATS, Input, cad_format, model_name, read_input
+from breplake.ingest.printable import printable
 from breplake.ingest.sources.downloads import SCHEMES, Downloads
 from breplake.ingest.sources.facts import Facts
 from breplake.ingest.sources.origin import UriOrigin

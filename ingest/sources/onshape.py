@@ -18,7 +18,8 @@ from urllib.parse import parse_qs, urlsplit
 
 from breplake.errors import InputError, UsageError
 from breplake.ingest.failure import Failure
-from breplake.ingest.inputs import Input, printable
+from breplake.ingest.inputs import Input
+from breplake.ingest.printable import printable
 from breplake.ingest.sources.facts import NO_FACTS, Facts
 from breplake.ingest.sources.onshape_api import base_address
 from breplake.ingest.sources.onshape_parts import PREFIX, Document, Onshape, Part

@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import Any
 
 from breplake.errors import MissingExtraError, RefusedSourceError
+from breplake.ingest.printable import printable
 from breplake.ingest.sources.entry import Damage, archive_format
 from breplake.ingest.sources.sevens import need_py7zr
 from breplake.ingest.sources.unpack import Request
@@ -104,11 +105,11 @@ class ArchiveReader:
             if word == "missing":
                 raise MissingExtraError(*values)
             if word == "refused":
-                raise RefusedSourceError(f"{self.path} is refused: {values[0]}")
+                raise RefusedSourceError(f"{printable(self.path)} is refused: {values[0]}")
             if word == "damaged":
                 raise Damage(*values)
             yield word, values
-        raise Damage("killed-signal", self._death())
+        raise Damage("worker-died", self._death())
 
     def _death(self) -> str:
         code = self._process.wait()

@@ -12,7 +12,7 @@ from threading import RLock
 from breplake.errors import UsageError
 from breplake.ingest.inputs import Input, find_inputs
 from breplake.ingest.sources.abc_names import chunk_of, is_meta_chunk, meta_chunk
-from breplake.ingest.sources.archives import archive_inputs, check_metadata
+from breplake.ingest.sources.archives import archive_id, archive_inputs, check_metadata
 from breplake.ingest.sources.downloads import Downloads
 from breplake.ingest.sources.entry import archive_format
 from breplake.ingest.sources.facts import NO_FACTS
@@ -52,6 +52,11 @@ class Sources:
         Takes a line of progress now and then.
     waiting : Waiting
         Ends what takes long.
+
+    Attributes
+    ----------
+    whole : set of int
+        Ids of the inputs that the archives found would be, were they damaged or refused.
     """
 
     def __init__(
@@ -62,6 +67,7 @@ class Sources:
         self._ledger: Ledger | None = None
         self._downloads: Downloads | None = None
         self._onshape: Onshape | None = None
+        self.whole: set[int] = set()
 
     @classmethod
     @contextmanager
@@ -105,7 +111,8 @@ class Sources:
             If a source does not exist or is of no known kind, or two inputs would get the same
             collection and name.
         RefusedSourceError
-            If an archive is not safe; none of its members is read then.
+            If an archive of metadata is not safe. Of others, archive and members are inputs that
+            failed, and none of them is read.
         MissingExtraError
             If a source needs a package that is not installed.
         """
@@ -163,6 +170,8 @@ class Sources:
         for path, meta in metadata.items():
             if meta is not None:
                 check_metadata(meta, surveys[meta])
+            if surveys[path].damage is None:
+                self.whole.add(archive_id(path, collection))
             yield from archive_inputs(
                 path, surveys[path], collection, surveys[meta] if meta else None
             )

@@ -36,7 +36,7 @@ def read_7z(path: Path, taker: Taker, meter: Meter) -> None:
     Raises
     ------
     RefusedSourceError
-        If it unpacks to too much.
+        If it unpacks to too much, or a member is not safe.
     Damage
         If it has no readable directory or needs a password; a fault inside one solid block is
         told to the taker for the members from there to the block's end.
@@ -54,9 +54,11 @@ def read_7z(path: Path, taker: Taker, meter: Meter) -> None:
             raise Damage("bad-archive", detail) from error
         with archive:
             infos = list(archive.files)
-            meter.declare(sum(info.uncompressed for info in infos), len(infos))
+            meter.declare(0, len(infos))
             entries = [_entry(place, info) for place, info in enumerate(infos)]
             wanted = [entry for entry in entries if taker.wants(entry)]
+            taker.listed()
+            meter.declare(sum(info.uncompressed for info in infos), len(infos))
             if locked:
                 raise Damage("encrypted", "")
             _Extraction(py7zr, archive, infos, taker, meter).run(wanted)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
 from breplake.errors import RefusedSourceError
 from breplake.ingest.sources.entry import Damage
 from breplake.ingest.sources.ledger import Ledger
-from breplake.ingest.sources.limits import Limits
+from breplake.ingest.sources.limits import Limits, Meter
 from breplake.ingest.sources.reader import ArchiveReader
 from breplake.ingest.sources.unpack import Request
 from breplake.ingest.sources.waiting import Waiting
@@ -65,7 +65,7 @@ class Survey:
     n_facts : int
         ABC models of which it holds metadata.
     damage : tuple of (str, str), optional
-        Kind and detail of why it could not be read to its end.
+        Kind and detail of why it could not be read to its end; ``refused`` if it is not safe.
     expansion : float
         How many times its own size it unpacks to.
     """
@@ -115,11 +115,6 @@ def survey(path: Path, ledger: Ledger, limits: Limits, waiting: Waiting) -> Surv
         How far it is trusted.
     waiting : Waiting
         Asked often whether to go on.
-
-    Raises
-    ------
-    RefusedSourceError
-        If it is not safe.
     """
     try:
         before = _state(path)
@@ -127,21 +122,32 @@ def survey(path: Path, ledger: Ledger, limits: Limits, waiting: Waiting) -> Surv
             digest = hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         return Survey(None, damage=("unreadable", error.strerror or str(error)))
-    known = ledger.get(_KIND, digest)
+    key = f"{digest}/{limits.member}"
+    known = ledger.get(_KIND, key)
     if known is not None:
-        found = Survey.of(digest, known)
-        if found.expansion > limits.expansion:
-            raise RefusedSourceError(
-                f"{path} is refused: it unpacks to {found.expansion:.0f} times its own size, and "
-                f"{limits.expansion:g} times are allowed; --max-expansion allows more"
-            )
-        return found
+        return _judged(Survey.of(digest, known), before[0], limits)
     found, facts = _read(path, digest, limits, waiting)
     lasting = found.damage is None or found.damage[0] in _LASTING
     if lasting and _state(path) == before:  # else the hash may be that of other bytes
         ledger.put_all(FACTS, {facts_key(digest, key): value for key, value in facts.items()})
-        ledger.put(_KIND, digest, found.document())
+        ledger.put(_KIND, key, found.document())
     return found
+
+
+def _judged(found: Survey, packed: int, limits: Limits) -> Survey:
+    """Judge again an archive of `packed` bytes, which was read when other limits held."""
+    try:
+        Meter(packed, limits).declare(round(found.expansion * packed), 0)
+    except RefusedSourceError as error:
+        return _refused(found, error)
+    return found
+
+
+def _refused(found: Survey, error: RefusedSourceError) -> Survey:
+    """Return what is left of an archive that is not safe: the names of its CAD files."""
+    damage = ("refused", str(error))
+    members = [Member(member.place, member.name, problem=damage) for member in found.members]
+    return replace(found, members=members, damage=damage)
 
 
 def _state(path: Path) -> tuple[int, int]:
@@ -156,6 +162,7 @@ def _read(
     found = Survey(digest)
     facts: dict[str, Any] = {}
     by_place: dict[int, Member] = {}
+    refusal: RefusedSourceError | None = None
     with ArchiveReader(Request(str(path), limits)) as reader:
         try:
             for word, values in reader.events():
@@ -174,10 +181,12 @@ def _read(
                     facts[key] = columns
         except Damage as damage:
             found.damage = (damage.kind, damage.detail)
+        except RefusedSourceError as error:
+            refusal = error
         found.expansion = reader.expansion
     found.members = [by_place[place] for place in sorted(by_place)]
     found.n_facts = len(facts)
     for member in found.members:
         if member.sha256 is None and member.problem is None:
             member.problem = found.damage
-    return found, facts
+    return (found, facts) if refusal is None else (_refused(found, refusal), {})

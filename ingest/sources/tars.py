@@ -51,7 +51,7 @@ def read_tar(path: Path, taker: Taker, meter: Meter) -> None:
     Raises
     ------
     RefusedSourceError
-        If it unpacks to too much, or holds a link that leads out of it.
+        If it unpacks to too much, or a member is not safe: those behind it are listed still.
     Damage
         If it cannot be read, or not to its end.
     """
@@ -65,6 +65,7 @@ def read_tar(path: Path, taker: Taker, meter: Meter) -> None:
                 _read(archive, _entry(place, info), info, taker, meter)
                 if not taker.more():
                     return
+        taker.listed()
         if stream.ended:
             raise Damage("bad-archive", "it ends without the mark of its end: it was cut off")
 
@@ -113,10 +114,8 @@ def _entry(place: int, info: tarfile.TarInfo) -> Entry:
     if info.isdir():
         return Entry(place, info.name, "folder")
     if info.issym() or info.islnk():
-        reason = hostile_link(info.name, info.linkname, hard=info.islnk())
-        if reason is not None:
-            raise RefusedSourceError(f"its member {info.name!r} {reason}")
-        return Entry(place, info.name, "link")
+        danger = hostile_link(info.name, info.linkname, hard=info.islnk())
+        return Entry(place, info.name, "link", danger)
     return Entry(place, info.name, "file" if info.isreg() else "special")
 
 

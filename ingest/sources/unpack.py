@@ -115,16 +115,19 @@ def read_archive(request: Request, permits: TextIO, output: TextIO) -> None:
         output.flush()
 
     path = Path(request.archive)
+    taker = _Survey(say) if request.places is None else _Fetch(say, request, permits)
     try:
         meter = Meter(path.stat().st_size, request.limits)
-        taker = _Survey(say) if request.places is None else _Fetch(say, request, permits)
         _READERS[archive_format(path) or "zip"](path, taker, meter)
     except MissingExtraError as error:
         say("missing", error.extra, error.need)
     except RefusedSourceError as error:
         say("refused", str(error))
     except Damage as error:
-        say("damaged", error.kind, error.detail)
+        if taker.refusal is not None:
+            say("refused", taker.refusal)
+        else:
+            say("damaged", error.kind, error.detail)
     except MemoryError:
         say("damaged", "memory", f"reading it takes more than {_MEMORY >> 30} GiB")
     except BrokenPipeError:
@@ -137,22 +140,29 @@ def read_archive(request: Request, permits: TextIO, output: TextIO) -> None:
 
 
 class _Named(Taker):
-    """A taker that refuses archives whose names are not safe."""
+    """A taker that refuses archives whose members are not safe, once it has listed them all."""
 
     def __init__(self, say: Any) -> None:
         self.say = say
         self.names: set[str] = set()
+        self.refusal: str | None = None
 
     def wants(self, entry: Entry) -> bool:
-        reason = hostile_name(entry.name)
-        if reason is not None:
-            raise RefusedSourceError(f"its member {entry.name!r} {reason}")
+        danger = hostile_name(entry.name) or entry.danger
+        if danger is not None:
+            self.refusal = (
+                self.refusal or f"its member {entry.name!r} {danger}; pack it again without"
+            )
         if entry.kind == "folder":
             return False
         if entry.name in self.names:
-            raise RefusedSourceError(f"it has two members {entry.name!r}; pack it again")
+            self.refusal = self.refusal or f"it has two members {entry.name!r}; pack it again"
         self.names.add(entry.name)
-        return self.chooses(entry)
+        return self.chooses(entry) and self.refusal is None
+
+    def listed(self) -> None:
+        if self.refusal is not None:
+            raise RefusedSourceError(self.refusal)
 
     def chooses(self, entry: Entry) -> bool:
         raise NotImplementedError

@@ -38,7 +38,7 @@ def read_zip(path: Path, taker: Taker, meter: Meter) -> None:
     Raises
     ------
     RefusedSourceError
-        If it unpacks to too much.
+        If it unpacks to too much, or a member is not safe.
     Damage
         If it has no readable directory; the fault of one member is told to the taker.
     """
@@ -48,9 +48,11 @@ def read_zip(path: Path, taker: Taker, meter: Meter) -> None:
         raise Damage("bad-archive", f"{error}; a zip file that was cut off looks so") from error
     with archive:
         infos = archive.infolist()
-        meter.declare(sum(info.file_size for info in infos), len(infos))
+        meter.declare(0, len(infos))
         entries = [(_entry(place, info), info) for place, info in enumerate(infos)]
         wanted = [(entry, info) for entry, info in entries if taker.wants(entry)]
+        taker.listed()
+        meter.declare(sum(info.file_size for info in infos), len(infos))
         for entry, info in wanted:
             _read(archive, entry, info, taker, meter)
 

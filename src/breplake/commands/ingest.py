@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from breplake.commands.options import LakeOption, console
-from breplake.errors import UsageError
+from breplake.errors import RefusedSourceError, UsageError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from breplake.ingest.inputs import Input
     from breplake.ingest.plan import Plan
     from breplake.ingest.run import Summary
 
@@ -118,6 +119,15 @@ def ingest(
     _report(console(), summary, lake)
     if summary.stopped:
         raise typer.Exit(130)
+    if summary.refused:
+        raise _refusal(summary.refused)
+
+
+def _refusal(archives: Sequence[Input]) -> RefusedSourceError:
+    """Return the error that tells of archives that were refused, when all else is done."""
+    reasons = [item.failure.message for item in archives[:_NAMED] if item.failure]
+    more = f"; and {len(archives) - _NAMED} more archives" if len(archives) > _NAMED else ""
+    return RefusedSourceError("; ".join(reasons) + more)
 
 
 @contextmanager
