@@ -140,14 +140,20 @@ def extract(canonical: Canonical, labels: Sequence[Label]) -> Brep:
     part_of = _part_of_patch(canonical, len(faces))
     graph = ShapeGraph(canonical.compound)
     coedges = [use for i, face in enumerate(faces) for use in _coedges(canonical, graph, i, face)]
+    ranges = [_parameter_range(i, face) for i, face in enumerate(faces)]
+    geometry = [surface_row(surface) for surface in surfaces]
+    masses = [_surface_mass(face, row) for face, row in zip(faces, geometry, strict=True)]
     patches = [
-        _patch_row(i, face, surfaces[i], part_of[i])
+        _patch_row(i, face, part_of[i])
+        | ranges[i]
+        | {"area": float(masses[i].Mass())}
+        | geometry[i]
         | names["patch", i]
         | {"shape": graph.number(face)}
         for i, face in enumerate(faces)
     ]
     parts = [
-        _part_row(i, part, _area(canonical, part, patches))
+        _part_row(i, part, _faces_mass(canonical, part, masses))
         | names["part", i]
         | {"shape": graph.number(part.shape)}
         for i, part in enumerate(canonical.parts)
@@ -259,39 +265,43 @@ def _bounds(shape: Any) -> Row:
     raise InputError("unbounded", advise("unbounded", "a part has no finite bounding box"))
 
 
-def _area(canonical: Canonical, part: PartShape, patches: Sequence[Row]) -> float:
+def _faces_mass(canonical: Canonical, part: PartShape, masses: Sequence[Any]) -> Any:
+    """Return a part's surface as ``GProp_GProps``: the sum of those of its patches."""
+    from OCP.GProp import GProp_GProps
     from OCP.TopAbs import TopAbs_ShapeEnum
 
-    faces = explore(part.shape, TopAbs_ShapeEnum.TopAbs_FACE)
-    return float(sum(patches[canonical.faces.FindIndex(face) - 1]["area"] for face in faces))
+    total = GProp_GProps()
+    for face in explore(part.shape, TopAbs_ShapeEnum.TopAbs_FACE):
+        total.Add(masses[canonical.faces.FindIndex(face) - 1])
+    return total
 
 
-def _part_row(part_id: int, part: PartShape, area: float) -> Row:
+def _part_row(part_id: int, part: PartShape, surface: Any) -> Row:
+    """Return a part's row; one of no volume has its surface's centre of mass."""
+    body = _body_mass(part)
+    centre = (body if body is not None and body.Mass() else surface).CentreOfMass()
     return {
         "part_id": part_id,
         "kind": part.kind,
-        "area": area,
+        "area": float(surface.Mass()),
         "is_closed": _is_closed(part.shape),
-        **_mass(part),
+        "volume": None if body is None else body.Mass(),
+        "centroid": _xyz(centre),
         **_bounds(part.shape),
     }
 
 
-def _mass(part: PartShape) -> Row:
-    """Return volume and centre of mass; a solid of no volume has that of its surface."""
+def _body_mass(part: PartShape) -> Any | None:
+    """Return a solid's ``GProp_GProps``, None of what is no solid."""
     from OCP.BRepGProp import BRepGProp
     from OCP.GProp import GProp_GProps
 
-    volume = None
+    if part.kind != "solid":
+        return None
     properties = GProp_GProps()
     with KERNEL():
-        if part.kind == "solid":
-            BRepGProp.VolumeProperties_s(part.shape, properties, INTEGRAL)
-            volume = properties.Mass()
-        if not volume:
-            properties = GProp_GProps()
-            BRepGProp.SurfaceProperties_s(part.shape, properties, INTEGRAL)
-    return {"volume": volume, "centroid": _xyz(properties.CentreOfMass())}
+        BRepGProp.VolumeProperties_s(part.shape, properties, INTEGRAL)
+    return properties
 
 
 def _is_closed(shape: Any) -> bool:
@@ -311,15 +321,26 @@ def _is_closed(shape: Any) -> bool:
     return bool(uses) and all(count % 2 == 0 for count in uses.values())
 
 
-def _patch_row(patch_id: int, face: Any, surface: Any, part_id: int) -> Row:
-    from OCP.BRep import BRep_Tool
+def _parameter_range(patch_id: int, face: Any) -> Row:
+    """Return the parameters that a face spans.
+
+    Raises
+    ------
+    InputError
+        ``unbounded`` if it is infinite: no area could be measured.
+    """
     from OCP.BRepTools import BRepTools
+
+    values = BRepTools.UVBounds_s(face)
+    if max(abs(value) for value in values) > INFINITE:
+        raise InputError("unbounded", advise("unbounded", f"patch {patch_id}"))
+    return dict(zip(("u_min", "u_max", "v_min", "v_max"), values, strict=True))
+
+
+def _patch_row(patch_id: int, face: Any, part_id: int) -> Row:
+    from OCP.BRep import BRep_Tool
     from OCP.TopAbs import TopAbs_Orientation, TopAbs_ShapeEnum
 
-    u_min, u_max, v_min, v_max = BRepTools.UVBounds_s(face)
-    if max(abs(value) for value in (u_min, u_max, v_min, v_max)) > INFINITE:
-        raise InputError("unbounded", advise("unbounded", f"patch {patch_id}"))
-    geometry = surface_row(surface)
     kinds = (TopAbs_ShapeEnum.TopAbs_FACE, TopAbs_ShapeEnum.TopAbs_EDGE)
     tolerances = [BRep_Tool.MaxTolerance_s(face, kind) for kind in kinds]
     tolerances.append(BRep_Tool.MaxTolerance_s(face, TopAbs_ShapeEnum.TopAbs_VERTEX))
@@ -327,19 +348,13 @@ def _patch_row(patch_id: int, face: Any, surface: Any, part_id: int) -> Row:
         "patch_id": patch_id,
         "part_id": part_id,
         "reversed": face.Orientation() == TopAbs_Orientation.TopAbs_REVERSED,
-        "u_min": u_min,
-        "u_max": u_max,
-        "v_min": v_min,
-        "v_max": v_max,
-        "area": _patch_area(face, geometry),
         "n_loops": sum(1 for _ in explore(face, TopAbs_ShapeEnum.TopAbs_WIRE)),
         "tolerance": max(tolerances),
-        **geometry,
     }
 
 
-def _patch_area(face: Any, geometry: Row) -> float:
-    """Return the area of a face, mm^2.
+def _surface_mass(face: Any, geometry: Row) -> Any:
+    """Return a face's ``GProp_GProps``: its area, mm^2, and centre of mass.
 
     OCCT has two quadratures, and each fails where the other is good: the fixed one on
     splines and trimmed quadrics, the adaptive one on full turns of a swept conic, where it
@@ -355,7 +370,7 @@ def _patch_area(face: Any, geometry: Row) -> float:
             BRepGProp.SurfaceProperties_s(face, properties)
         else:
             BRepGProp.SurfaceProperties_s(face, properties, INTEGRAL)
-    return float(properties.Mass())
+    return properties
 
 
 def _coedges(canonical: Canonical, graph: ShapeGraph, patch_id: int, face: Any) -> list[Coedge]:

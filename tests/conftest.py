@@ -18,12 +18,17 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from hypothesis import HealthCheck, settings
 
 from breplake.schema.arrays import ArrayShardWriter
 from breplake.schema.contract import Table
 from breplake.schema.identity import model_id
 from breplake.schema.lake import LakeStore
 from breplake.schema.tables import SCHEMA_VERSION, TABLES
+
+# A busy machine is no fault of the code under test.
+settings.register_profile("breplake", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("breplake")
 
 COLLECTION = "boxes"
 TINY = {

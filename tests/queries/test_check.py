@@ -26,6 +26,11 @@ from breplake.schema.tables import FAILURES
 
 WriteLake = Callable[..., Path]
 BOX = model_id("hand", "box")
+NEED_A_KERNEL = {
+    "shape-graph", "placements", "shape-rows", "edge-curves", "coedge-pcurves",
+    "pcurve-on-curve", "pcurve-loops", "uv-grids",
+}  # fmt: skip
+"""Rules on what a lake written by hand lacks; test_check_shapes.py has them on real parts."""
 
 
 def check(path: Path, **options: Any) -> Report:
@@ -78,8 +83,8 @@ def test_faultless_lake(hand_lake: Path) -> None:
     assert report.ok, report.broken
     assert report.models == 6
     assert report.rows == sum(e.rows for e in Lake(hand_lake).snapshot.files if e.table != "arrays")
-    checked = {rule.name for rule in report.rules if rule.checked}
-    assert checked == {rule.name for rule in report.rules}  # no rule passes for want of work
+    idle = {rule.name for rule in report.rules if not rule.checked}
+    assert idle == NEED_A_KERNEL  # no other rule passes for want of work
 
 
 def test_a_flipped_byte(hand_lake: Path) -> None:

@@ -67,7 +67,8 @@ def test_no_point_is_outside_by_occt(lake):
 
 def test_points_and_normals(lake):
     drawn = lake.sample("ball_steel", 500)
-    centre = drawn.position.mean(axis=0).round()
+    (sphere,) = lake.read("patches", lake.model("ball_steel")["model_id"]).to_pylist()
+    centre = np.array(list(sphere["location"].values()))
     radius = np.linalg.norm(drawn.position - centre, axis=1)
     np.testing.assert_allclose(radius, radius[0], rtol=1e-9)
     np.testing.assert_allclose(drawn.normal, (drawn.position - centre) / radius[0], atol=1e-9)
@@ -82,7 +83,10 @@ def test_the_same_arguments_give_the_same_points(lake):
     )
     for name in ("position", "normal", "patch", "u", "v"):
         np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
-        np.testing.assert_array_equal(getattr(first, name), getattr(longer, name)[:300])
+        # Sums of another length are vectorised otherwise, so their last bit may differ.
+        np.testing.assert_allclose(
+            getattr(first, name), getattr(longer, name)[:300], rtol=1e-12, atol=1e-12
+        )
     np.testing.assert_array_equal(first.curves.position, longer.curves.position)
     assert not np.array_equal(first.position, other.position)
 
@@ -143,9 +147,9 @@ def test_files(lake, tmp_path):
     wanted = lake.sample("mug", 100, curves=20)
     for ending in ("npz", "ply", "parquet"):
         assert run(*base, "-o", tmp_path / f"points.{ending}").exit_code == 0
-    npz = np.load(tmp_path / "points.npz")
-    np.testing.assert_array_equal(npz["position"], wanted.position)
-    np.testing.assert_array_equal(npz["curve_tangent"], wanted.curves.tangent)
+    with np.load(tmp_path / "points.npz") as npz:
+        np.testing.assert_array_equal(npz["position"], wanted.position)
+        np.testing.assert_array_equal(npz["curve_tangent"], wanted.curves.tangent)
     rows = pq.read_table(tmp_path / "points.parquet")
     assert rows.num_rows == 120
     np.testing.assert_array_equal(rows["x"].to_numpy()[:100], wanted.position[:, 0])
