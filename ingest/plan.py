@@ -71,7 +71,8 @@ class Plan:
     redone : frozenset of int
         Model ids of `todo` that the lake has already.
     settled : frozenset of int
-        Ids of failures in the lake that hold no more: of archives that can be read now.
+        Ids of failures in the lake that hold no more: of archives that can be read now, and of
+        rows of lists that can be used.
     """
 
     inputs: list[Input]
@@ -104,7 +105,7 @@ def plan(
     redo : Redo, optional
         What of the lake's content is ingested again; by default nothing.
     whole : collection of int
-        Ids that archives have as inputs where they cannot be read, of those that can.
+        Ids that would stand for archives and rows of lists that are in order, if they were not.
     """
     redo = redo or Redo()
     new: list[Input] = []

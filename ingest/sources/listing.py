@@ -23,6 +23,7 @@ from breplake.ingest.sources.downloads import SCHEMES, Downloads
 from breplake.ingest.sources.facts import Facts
 from breplake.ingest.sources.origin import UriOrigin
 from breplake.ingest.sources.web import public_address
+from breplake.schema.identity import model_id
 
 __all__ = ["LISTS", "Row", "list_inputs", "read_list"]
 
@@ -122,7 +123,11 @@ def _text(cell: Any) -> str:
 
 
 def list_inputs(
-    path: Path, rows: Iterable[Row], collection: str | None, downloads: Callable[[], Downloads]
+    path: Path,
+    rows: Iterable[Row],
+    collection: str | None,
+    downloads: Callable[[], Downloads],
+    whole: set[int],
 ) -> list[Input]:
     """Return the CAD files of a list as inputs, in the order of its rows.
 
@@ -139,8 +144,10 @@ def list_inputs(
         Collection of rows that name none; by default the name of the list.
     downloads : callable
         Gives what fetches addresses; only called if there are some.
+    whole : set of int
+        Takes the ids that rows have as inputs where they cannot be used, of those that can.
     """
-    names = _Names(path, printable(collection or path.stem or "list"))
+    names = _Names(path, printable(collection or path.stem or "list"), whole)
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         return list(pool.map(lambda row: _input(path, row, names, downloads), names.given(rows)))
 
@@ -148,8 +155,8 @@ def list_inputs(
 class _Names:
     """Gives every row its collection and name."""
 
-    def __init__(self, path: Path, collection: str) -> None:
-        self._path, self._collection = path, collection
+    def __init__(self, path: Path, collection: str, whole: set[int]) -> None:
+        self._path, self._collection, self._whole = path, collection, whole
         self._used: dict[tuple[str, str], int] = {}
         self.of: dict[int, tuple[str, str]] = {}
 
@@ -165,8 +172,11 @@ class _Names:
             first = self._used.get((group, name))
             if first is not None:
                 problem = problem or f"it is model {group}/{name}, as row {first} is"
+            faulty = printable(f"{self._path.name}, row {row.number}")
             if problem:
-                name = f"{self._path.name}, row {row.number}"
+                name = faulty
+            else:
+                self._whole.add(model_id(group, faulty))
             self._used[group, name] = row.number
             self.of[row.number] = group, name
             yield replace(row, problem=problem)

@@ -56,7 +56,8 @@ class Sources:
     Attributes
     ----------
     whole : set of int
-        Ids of the inputs that the archives found would be, were they damaged or refused.
+        Ids of the inputs that would stand for the archives and rows of lists that were found,
+        could they not be used.
     """
 
     def __init__(
@@ -185,7 +186,7 @@ class Sources:
                 yield from self._of_query(query, group, row)
             else:
                 rows.append(row)
-        yield from list_inputs(path, rows, collection, self._opened_downloads)
+        yield from list_inputs(path, rows, collection, self._opened_downloads, self.whole)
 
     def _of_onshape(self, source: str, collection: str | None) -> list[Input]:
         return self._of_query(Query.parse(source), collection, None)
