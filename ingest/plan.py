@@ -204,5 +204,8 @@ def _scan(store: LakeStore, table: str, more: str) -> pl.LazyFrame:
     if not paths:
         schema = {name: pl.Int64 if name == "model_id" else pl.String for name in columns}
         return pl.LazyFrame(schema=schema)
-    frame = pl.scan_parquet(paths, glob=False, hive_partitioning=False, extra_columns="ignore")
+    frame = pl.scan_parquet(
+        paths, glob=False, hive_partitioning=False,
+        missing_columns="insert", extra_columns="ignore",
+    )  # fmt: skip
     return frame.select(columns)

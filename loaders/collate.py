@@ -22,6 +22,9 @@ __all__ = [
 
 _ORIGIN = ("model_id", "name", "snapshot")
 
+_SECOND = ("edge_index",)
+"""Tensors ``(2, e)``, whose size differs along the second axis; of all others it is the first."""
+
 
 class Padded(NamedTuple):
     """Samples of different sizes, stacked.
@@ -29,11 +32,12 @@ class Padded(NamedTuple):
     Parameters
     ----------
     samples : named tuple
-        Of the samples' kind; each tensor is ``(b, longest, ...)``. What is padded is 0 in floats,
-        -1 in int64 and 0 in uint8 and bool. `model_id` and `snapshot` are ``(b,)``, `name` is a
-        tuple.
+        Of the samples' kind; each tensor is ``(b, longest, ...)``, `edge_index` is
+        ``(b, 2, longest)``. What is padded is 0 in floats, -1 in int64 and 0 in uint8 and bool.
+        `model_id` and `snapshot` are ``(b,)``, `name` is a tuple.
     lengths : dict
-        Name of each tensor -> ``(b,)`` int64, rows of each sample before padding.
+        Name of each tensor -> ``(b,)`` int64, rows (of `edge_index` columns) of each sample
+        before padding.
     """
 
     samples: Any
@@ -41,7 +45,7 @@ class Padded(NamedTuple):
 
     def mask(self, name: str = "positions") -> Tensor:
         """Return ``(b, longest)`` bool: True for rows that are no padding."""
-        longest = getattr(self.samples, name).shape[1]
+        longest = getattr(self.samples, name).shape[1 + _axis(name)]
         return torch.arange(longest) < self.lengths[name][:, None]
 
 
@@ -51,11 +55,11 @@ class Ragged(NamedTuple):
     Parameters
     ----------
     samples : named tuple
-        Of the samples' kind; each tensor is joined along its first axis. `model_id` and
-        `snapshot` are ``(b,)``, `name` is a tuple.
+        Of the samples' kind; each tensor is joined along its first axis, `edge_index` along its
+        second. `model_id` and `snapshot` are ``(b,)``, `name` is a tuple.
     offsets : dict
         Name of each tensor -> ``(b + 1,)`` int64: sample `i` is rows ``offsets[i]`` to
-        ``offsets[i + 1]``.
+        ``offsets[i + 1]``, of `edge_index` the columns.
     """
 
     samples: Any
@@ -108,8 +112,8 @@ def collate_padded(samples: Sequence[Any]) -> Padded:
         If there are no samples.
     """
     fields = _fields(samples)
-    lengths = {k: torch.tensor([len(v) for v in values]) for k, values in fields.items()}
-    stacked = {name: _padded(values) for name, values in fields.items()}
+    lengths = {k: torch.tensor(_lengths(values, _axis(k))) for k, values in fields.items()}
+    stacked = {name: _padded(values, _axis(name)) for name, values in fields.items()}
     return Padded(samples[0]._replace(**stacked, **_origins(samples)), lengths)
 
 
@@ -124,8 +128,8 @@ def collate_ragged(samples: Sequence[Any]) -> Ragged:
         If there are no samples.
     """
     fields = _fields(samples)
-    offsets = {name: _offsets(len(v) for v in values) for name, values in fields.items()}
-    joined = {name: torch.cat(values) for name, values in fields.items()}
+    offsets = {k: _offsets(_lengths(values, _axis(k))) for k, values in fields.items()}
+    joined = {name: torch.cat(values, dim=_axis(name)) for name, values in fields.items()}
     return Ragged(samples[0]._replace(**joined, **_origins(samples)), offsets)
 
 
@@ -189,12 +193,22 @@ def _origins(samples: Sequence[Any]) -> dict[str, Any]:
     }
 
 
-def _padded(values: list[Tensor]) -> Tensor:
+def _axis(name: str) -> int:
+    """Return the axis along which samples differ in size."""
+    return int(name in _SECOND)
+
+
+def _lengths(values: list[Tensor], axis: int) -> list[int]:
+    return [value.shape[axis] for value in values]
+
+
+def _padded(values: list[Tensor], axis: int) -> Tensor:
     first = values[0]
-    longest = max(len(value) for value in values)
+    shape = list(first.shape)
+    shape[axis] = max(_lengths(values, axis))
     # no number of a row, so that padding which is used by mistake shows
     fill = -1 if first.dtype == torch.int64 else 0
-    stacked = torch.full((len(values), longest, *first.shape[1:]), fill, dtype=first.dtype)
+    stacked = torch.full((len(values), *shape), fill, dtype=first.dtype)
     for row, value in zip(stacked, values, strict=True):
-        row[: len(value)] = value
+        row.narrow(axis, 0, value.shape[axis]).copy_(value)
     return stacked

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
-
 import numpy as np
 import torch
 
@@ -14,12 +12,8 @@ from breplake.loaders.dataset import SampleDataset
 from breplake.loaders.graphs import neighbours
 from breplake.loaders.meshes import MeshDataset
 from breplake.loaders.samples import GridSample
-from breplake.schema.arrays import ARRAYS
 
 __all__ = ["GridDataset"]
-
-_ARRAYS: Final = ("patch_grid", "curve_grid")
-
 
 class GridDataset(SampleDataset[GridSample]):
     """UV-grids of all patches and curves of the models, and which patches meet at which curve.
@@ -32,19 +26,19 @@ class GridDataset(SampleDataset[GridSample]):
     Raises
     ------
     UsageError
-        If the lake was ingested without UV-grids.
+        If a model was ingested without UV-grids.
     """
 
     noun = "models with UV-grids"
 
     def __init__(self, meshes: MeshDataset) -> None:
         super().__init__(meshes.index)
-        missing = [name for name in _ARRAYS if name not in ARRAYS]
-        without = [] if missing else np.flatnonzero(~self.index.stored("patch")).tolist()
-        if missing or without:
-            whose = f"{len(without)} of {len(self)} models, {self.index.name(without[0])} first," \
-                if without else "the lake"  # fmt: skip
-            raise UsageError(f"{whose} has no UV-grids: ingest with them, or leave it out")
+        without = np.flatnonzero(~self.index.stored("patch")).tolist()
+        if without:
+            raise UsageError(
+                f"{len(without)} of {len(self)} models have no UV-grids, "
+                f"{self.index.name(without[0])} first: breplake ingest --uv-grid N makes them"
+            )
         self.index.load_types()
 
     def draw(self, model: int, number: int, epoch: int) -> GridSample:

@@ -16,7 +16,9 @@ from breplake.errors import UsageError
 from breplake.queries.session import Lake
 from breplake.schema.array_reader import ArrayShardReader
 from breplake.schema.arrays import ARRAYS
+from breplake.schema.older import conform
 from breplake.schema.subset import Subset
+from breplake.schema.tables import TABLES
 from breplake.schema.types import SURFACE_TYPES
 
 __all__ = ["ModelIndex"]
@@ -256,6 +258,7 @@ def _read_shard(
     lake: Lake, name: str, shard: str, columns: list[str]
 ) -> tuple[npt.NDArray[np.int64], Any]:
     """Return the ids and columns of all rows of a shard's table, sorted by model."""
+    import pyarrow as pa
     import pyarrow.parquet as pq
 
     entry = lake.snapshot.file(name, shard)
@@ -264,6 +267,8 @@ def _read_shard(
     # without threads: a worker may have been forked from a process that has some
     with pq.ParquetFile(lake.root / entry.path) as file:
         rows = file.read([*columns, "model_id"], use_threads=False)
+    schema = TABLES[name].schema
+    rows = conform(rows, pa.schema([schema.field(column) for column in [*columns, "model_id"]]))
     return rows.column("model_id").to_numpy(), rows.select(columns)
 
 

@@ -16,6 +16,7 @@ import pyarrow.parquet as pq
 
 from breplake.errors import LakeFormatError, NameNotFoundError
 from breplake.schema.identities import read_ids
+from breplake.schema.older import conform
 from breplake.schema.snapshot import FileEntry, Snapshot
 from breplake.schema.storage import Storage
 from breplake.schema.tables import TABLES
@@ -108,7 +109,10 @@ class RowReader:
         wanted = None if columns is None else list(dict.fromkeys([*columns, "model_id"]))
         with pq.ParquetFile(self._root / entry.path, metadata=footer.metadata) as file:
             rows = file.read_row_groups(groups.tolist(), columns=wanted)
-        return rows.filter(pc.equal(rows.column("model_id"), model_id))
+        schema = TABLES[entry.table].schema
+        if wanted is not None:
+            schema = pa.schema([schema.field(name) for name in wanted])
+        return conform(rows.filter(pc.equal(rows.column("model_id"), model_id)), schema)
 
     def _footer(self, entry: FileEntry) -> _Footer:
         """Return the file's footer; the least recently used ones are forgotten."""

@@ -13,6 +13,7 @@ from breplake.queries.names import did_you_mean
 from breplake.queries.rows import RowReader
 from breplake.schema.array_reader import ArrayShardReader
 from breplake.schema.lake import LakeStore
+from breplake.schema.older import CONTRACT
 from breplake.schema.snapshot import ARRAYS_TABLE, Snapshot
 from breplake.schema.tables import TABLES
 
@@ -137,6 +138,7 @@ class Lake:
 
     def _connect(self) -> duckdb.DuckDBPyConnection:
         import duckdb
+        import pyarrow as pa
 
         from breplake.queries.views import create_views
 
@@ -150,8 +152,9 @@ class Lake:
             },
         )
         try:
-            create_views(connection, {table: self.sources(table) for table in TABLES})
-        except duckdb.Error as error:
+            files = {table: self.sources(table) for table in TABLES}
+            create_views(connection, files, uniform=self.snapshot.contract == CONTRACT)
+        except (duckdb.Error, OSError, pa.ArrowException) as error:
             raise LakeFormatError(f"the lake is damaged ({error}): run breplake check") from error
         return connection
 
@@ -268,11 +271,17 @@ class Lake:
 
         _require_table(table)
         paths = self.sources(table)
-        if paths:
-            return pl.scan_parquet(paths, glob=False, hive_partitioning=False)
         empty = pl.from_arrow(TABLES[table].empty())
         assert isinstance(empty, pl.DataFrame)  # from_arrow of a table is a frame
-        return empty.lazy()
+        if not paths:
+            return empty.lazy()
+        return pl.scan_parquet(
+            paths, glob=False, hive_partitioning=False, schema=empty.schema,
+            missing_columns="insert", extra_columns="ignore",
+            cast_options=pl.ScanCastOptions(
+                missing_struct_fields="insert", extra_struct_fields="ignore"
+            ),
+        )  # fmt: skip
 
     def read(self, table: str, model_id: int, columns: Sequence[str] | None = None) -> pa.Table:
         """Return the rows of one model, sorted by the table's key; only its shard is read.

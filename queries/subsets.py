@@ -138,14 +138,21 @@ def save_subset(lake: Lake, subset: Subset) -> Subset:
     ------
     UsageError
         If its name is unfit or names another subset.
+    NameNotFoundError
+        If its snapshot was removed meanwhile: then nothing is stored.
     """
     if not _NAME.fullmatch(subset.name):
         raise UsageError(
             "a subset is named by letters, digits, '.', '_' and '-', at most 100, "
             f"got {subset.name!r}"
         )
-    storage = Storage(lake.root)
-    if storage.create(subset_path(subset.name), subset.to_bytes()):
+    storage, path = lake.store.storage, subset_path(subset.name)
+    if storage.create(path, subset.to_bytes()):
+        try:
+            lake.store.log.confirm(subset.snapshot)
+        except NameNotFoundError:
+            storage.remove(path)
+            raise
         return subset
     there = load_subset(lake, subset.name)
     if there != subset or there.hash != subset.hash:

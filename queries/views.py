@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from typing import Final
 
 import duckdb
+import pyarrow as pa
 
 from breplake.schema.contract import Table
+from breplake.schema.older import by_schema
 from breplake.schema.tables import TABLES
 
 __all__ = ["DERIVED", "create_views", "derived_sql"]
@@ -23,7 +25,9 @@ def derived_sql(name: str) -> str:
     return resources.files("breplake.queries").joinpath("views", f"{name}.sql").read_text()
 
 
-def create_views(connection: duckdb.DuckDBPyConnection, files: dict[str, Sequence[str]]) -> None:
+def create_views(
+    connection: duckdb.DuckDBPyConnection, files: Mapping[str, Sequence[str]], *, uniform: bool
+) -> None:
     """Create a view for each table over exactly the given files, then the derived ones.
 
     Parameters
@@ -32,18 +36,53 @@ def create_views(connection: duckdb.DuckDBPyConnection, files: dict[str, Sequenc
         An empty session.
     files : dict of str to sequence of str
         Absolute paths by table; a table without files becomes an empty view.
+    uniform : bool
+        Whether every file has all columns. If not, the files' footers are read, and a column that
+        a file lacks is null.
+
+    Raises
+    ------
+    duckdb.Error, OSError, pyarrow.ArrowInvalid
+        If a file cannot be read.
     """
     for name, table in TABLES.items():
         paths = files.get(name, ())
-        body = _over_files(table, paths) if paths else _empty(connection, table)
+        if not paths:
+            body = _empty(connection, table)
+        elif uniform:
+            body = _over_files(table, paths)
+        else:
+            body = _over_older(connection, table, paths)
         connection.execute(f"CREATE VIEW {name} AS {body}")
     for name in DERIVED:
         connection.execute(f"CREATE VIEW {name} AS {derived_sql(name)}")
 
 
 def _over_files(table: Table, paths: Sequence[str]) -> str:
-    names = ", ".join(f'"{column.name}"' for column in table.columns)
+    return _select((f'"{column.name}"' for column in table.columns), paths)
+
+
+def _over_older(connection: duckdb.DuckDBPyConnection, table: Table, paths: Sequence[str]) -> str:
+    """Return SQL over files of which some may lack columns, or members of structures."""
+    kinds = _kinds(connection, table)
+    return " UNION ALL ".join(
+        _select((_column(field, schema, kinds[field.name]) for field in table.schema), group)
+        for schema, group in by_schema(paths)
+    )
+
+
+def _column(field: pa.Field, schema: pa.Schema, kind: str) -> str:
+    """Return the column of a file with that schema; `kind` is its type in DuckDB."""
+    at = schema.get_field_index(field.name)
+    if at >= 0 and schema.field(at).type.equals(field.type):
+        return f'"{field.name}"'
+    value = f'"{field.name}"' if at >= 0 else "NULL"
+    return f'CAST({value} AS {kind}) AS "{field.name}"'
+
+
+def _select(columns: Iterable[str], paths: Sequence[str]) -> str:
     listed = ", ".join(_quoted(path) for path in paths)
+    names = ", ".join(columns)
     return f"SELECT {names} FROM read_parquet([{listed}], hive_partitioning = false)"
 
 
@@ -54,7 +93,12 @@ def _quoted(path: str) -> str:
 
 
 def _empty(connection: duckdb.DuckDBPyConnection, table: Table) -> str:
-    relation = connection.from_arrow(table.empty())
-    columns = zip(relation.columns, relation.types, strict=True)
-    names = ", ".join(f'CAST(NULL AS {kind}) AS "{name}"' for name, kind in columns)
+    kinds = _kinds(connection, table)
+    names = ", ".join(f'CAST(NULL AS {kind}) AS "{name}"' for name, kind in kinds.items())
     return f"SELECT * FROM (SELECT {names}) WHERE false"
+
+
+def _kinds(connection: duckdb.DuckDBPyConnection, table: Table) -> dict[str, str]:
+    """Return the columns of a table with their types in DuckDB."""
+    relation = connection.from_arrow(table.empty())
+    return dict(zip(relation.columns, map(str, relation.types), strict=True))

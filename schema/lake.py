@@ -32,6 +32,7 @@ from breplake.errors import (
 from breplake.schema.files import FileProblem, checked_name, compare, describe
 from breplake.schema.identities import IdentityIndex
 from breplake.schema.lock import writer_lock
+from breplake.schema.older import CONTRACT
 from breplake.schema.snapshot import FileEntry, Header, Snapshot
 from breplake.schema.storage import Storage
 from breplake.schema.tables import SCHEMA_VERSION, TABLES
@@ -313,6 +314,7 @@ class LakeStore:
                 tools=dict(sorted(tools.items())),
                 config_hash=config_hash,
                 files=tuple(sorted([*kept, *files])),
+                contract=CONTRACT if _conforms(head, kept) else "",
             )
             if self.log.create(snapshot):
                 return snapshot
@@ -368,6 +370,11 @@ def _check_replaced(replaced: set[str], old: Sequence[FileEntry]) -> None:
         raise CommitConflictError(
             f"{min(gone)} is not in the newest snapshot (replaced since?): read it again"
         )
+
+
+def _conforms(head: Snapshot | None, kept: Sequence[FileEntry]) -> bool:
+    """Return whether the files that a commit keeps have all columns that new ones have."""
+    return head is None or not kept or head.contract == CONTRACT
 
 
 def _check_new(files: Sequence[FileEntry], kept: Sequence[FileEntry]) -> None:

@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 from breplake.schema.array_reader import ArrayShardReader
 from breplake.schema.arrays import ARRAYS, ArrayShardWriter
 from breplake.schema.lake import LakeStore
+from breplake.schema.older import conform
 from breplake.schema.shard_writer import write_table
 from breplake.schema.snapshot import ARRAYS_TABLE, FileEntry
 from breplake.schema.tables import MODELS, TABLES
@@ -59,21 +60,21 @@ def rewrite_shard(
     for table in TABLES.values():
         if table.name not in paths:
             continue
-        parts = _chosen_rows(paths[table.name], chosen)
+        parts = _chosen_rows(paths[table.name], table.schema, chosen)
         if table.name == MODELS.name:
             parts = _placed(parts, name, paths.get(ARRAYS_TABLE), target)
         write_table(target, name, table, parts)
     return target.register_shard(name)
 
 
-def _chosen_rows(path: Path, chosen: Chosen) -> Iterator[pa.Table]:
+def _chosen_rows(path: Path, schema: pa.Schema, chosen: Chosen) -> Iterator[pa.Table]:
     """Yield the chosen rows, one row group at a time."""
     with pq.ParquetFile(path) as file:
         for number in range(file.num_row_groups):
             group = file.read_row_group(number)
             rows = group.filter(chosen(group["model_id"]))
             if rows.num_rows:
-                yield rows
+                yield conform(rows, schema)
 
 
 def _placed(

@@ -73,6 +73,8 @@ class Header:
     ----------
     number, parent, message, time, schema_version, tools, config_hash
         As in `Snapshot`.
+    contract : str
+        As in `Snapshot`.
     models, files, bytes : int
         Rows of ``models``, number of files (a folder of arrays is one), size of all files.
     """
@@ -87,6 +89,7 @@ class Header:
     models: int
     files: int
     bytes: int
+    contract: str = ""
 
 
 @dataclass(frozen=True)
@@ -111,6 +114,9 @@ class Snapshot:
         Hash of the settings that decide the content.
     files : tuple of FileEntry
         All files of the snapshot, sorted.
+    contract : str
+        Hash of the tables' columns (`breplake.schema.older`) that every file has; empty if files
+        differ, as those do that were written before a column was added.
     """
 
     number: int
@@ -121,6 +127,7 @@ class Snapshot:
     tools: Mapping[str, str]
     config_hash: str
     files: tuple[FileEntry, ...] = field(repr=False)
+    contract: str = ""
 
     @cached_property
     def _by_table(self) -> dict[str, dict[str, FileEntry]]:

@@ -18,8 +18,12 @@ __all__ = ["Stats", "document_columns"]
 
 _Floats = npt.NDArray[np.float64]
 
-_SAME_MASS: Final = 1e-6
-"""Relative difference of a mass from the integral over the patches that is rounding."""
+_SAME_MASS: Final = 1e-3
+"""Relative difference of a mass from the integral over the patches that may be either's error:
+Open CASCADE's integrals over splines are off by up to 1e-4, an error estimate by all of it."""
+
+_COARSE: Final = (0.5, 9.0)
+"""By which share of what a coarse mesh shows the truth may be less, or more."""
 
 _GREATEST_TOLERANCE: Final = 1e-3
 """Share of the diagonal that no tolerance of a sound model reaches."""
@@ -65,8 +69,8 @@ class Stats:
         """Whether it says that there is no solid."""
         return "volume" in self.given and self.given["volume"] is None
 
-    def mass(self, key: str, exact: float, slack: float = 0.0) -> float:
-        """Return the stated ``surface`` or ``volume`` if it is `exact` but for rounding.
+    def mass(self, key: str, exact: float, coarse: float = 0.0) -> float:
+        """Return the stated ``surface`` or ``volume`` if it is `exact` but for errors.
 
         Published files hold an estimate of the error there.
 
@@ -76,13 +80,15 @@ class Stats:
             Which of both.
         exact : float
             What it is, mm^2 or mm^3.
-        slack : float
-            By how much the mesh may be too coarse to tell.
+        coarse : float
+            How much of that is of patches that the mesh is too coarse to tell.
         """
         stated = self._number(key)
         if stated is None:
             return exact
-        if abs(stated - exact) <= _SAME_MASS * abs(exact) + slack:
+        slack = _SAME_MASS * abs(exact)
+        less, more = (slack + share * coarse for share in _COARSE)
+        if exact - less <= stated <= exact + more:
             return stated
         self.repairs[f"stats-{key}"] += 1
         return exact

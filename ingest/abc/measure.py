@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import product
 from typing import Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
+from breplake.ingest.abc.corners import Corners, cross
 from breplake.ingest.abc.geometry import ExactGeometry
 from breplake.ingest.abc.topology import Use
 from breplake.ingest.mesh import Mesh
@@ -50,15 +50,15 @@ _BLOCK: Final = 8_192
 _COLUMNS: Final = 8
 """Integrals: of 1, x, y, z over the area, of 1, x, y, z over the volume."""
 
-_WIDE: Final = 0.3
-"""A side of a triangle that covers this share of a period may go round the other way."""
-
 _LOOSE: Final = 0.5
 """A patch whose flat triangles lack this share of its area, or have as much too much, is meshed
 too coarsely to tell how it lies in (u, v)."""
 
-_POLE: Final = 1e-6
-"""Share of the greatest length of a derivative on a patch at which one vanishes."""
+_FOLDED: Final = 1e-3
+"""So is one of whose triangles this share, by area in (u, v), turn the other way."""
+
+_SEAM: Final = 1e-6
+"""Share of a period within which a parameter is constant."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +105,7 @@ def masses(mesh: Mesh, geometry: ExactGeometry, used: Iterable[Use], n_patches: 
     n_patches : int
         Number of patches.
     """
-    corners, flat = _Corners.of(mesh, geometry), _flat(mesh, n_patches)
+    corners, flat = Corners.of(mesh, geometry), _flat(mesh, n_patches)
     curved = np.asarray(geometry.surfaces.known) & ~geometry.is_plane
     total = np.where(curved[:, None], 0.0, flat)
     # the parameters of a patch may turn either way, while its triangles face outwards
@@ -115,7 +115,8 @@ def masses(mesh: Mesh, geometry: ExactGeometry, used: Iterable[Use], n_patches: 
     enough = _NEGLIGIBLE * flat[:, 0]
     total += signs * _integral(corners, geometry, inner, enough)
     total += signs * _integral(rim, geometry, np.arange(len(rim.patch)), enough)
-    loose = curved & ~(np.abs(total[:, 0] - flat[:, 0]) <= _LOOSE * total[:, 0])
+    loose = ~(np.abs(total[:, 0] - flat[:, 0]) <= _LOOSE * total[:, 0])
+    loose = curved & (loose | (corners.folded(n_patches) > _FOLDED))
     total = np.where(loose[:, None], flat, total)
     low, high = corners.ranges(geometry, rim.seams(), n_patches)
     return Masses(
@@ -185,118 +186,6 @@ def _square(
 
 
 @dataclass(frozen=True, slots=True)
-class _Corners:
-    """Triangles in the parameters of their patches.
-
-    A corner at a pole, where one parameter is any, is the last one of its triangle.
-
-    Parameters
-    ----------
-    patch : numpy.ndarray
-        ``(f,)``.
-    vertex : numpy.ndarray
-        ``(f, 3)`` mesh vertices.
-    uv : numpy.ndarray
-        ``(f, 3, 2)``, across seams too.
-    free : numpy.ndarray
-        ``(f, 2)`` bool: u or v of the last corner may be any.
-    """
-
-    patch: _Ints
-    vertex: _Ints
-    uv: _Floats
-    free: _Bools
-
-    @classmethod
-    def of(cls, mesh: Mesh, geometry: ExactGeometry) -> _Corners:
-        jet = geometry.jet(mesh.pair_patch, *mesh.uv.T)
-        speed = np.column_stack([np.linalg.norm(jet.du, axis=1), np.linalg.norm(jet.dv, axis=1)])
-        usual = np.zeros((int(mesh.pair_patch.max()) + 1, 2))
-        np.maximum.at(usual, mesh.pair_patch, np.nan_to_num(speed))
-        pole = speed <= _POLE * usual[mesh.pair_patch]  # (m, 2)
-        patch = mesh.patch
-        pair = mesh.pairs(np.repeat(patch, 3), mesh.triangles.ravel()).reshape(-1, 3)
-        first = (pole[pair].any(axis=2).argmax(axis=1) + 1) % 3  # the corner after the pole
-        first[~pole[pair].any(axis=(1, 2))] = 0
-        turned = (first[:, None] + np.arange(3)) % 3
-        pair = np.take_along_axis(pair, turned, axis=1)
-        uv = mesh.uv[pair]  # (f, 3, 2)
-        periods = geometry.periods
-        for corner in (1, 2):
-            uv[:, corner] = periods.near(patch, uv[:, corner], uv[:, 0])
-        # a closed surface that is not periodic ends at its bounds: on which side, all corners say
-        middle = uv.mean(axis=1)
-        uv += (periods.inside(patch, middle) - middle)[:, None]
-        free = pole[pair[:, 2]]
-        found = cls(patch, mesh.pair_vertex[pair], uv, free)
-        found._unfold(np.asarray(periods.period[patch]))
-        return found
-
-    def _unfold(self, period: _Floats) -> None:
-        """Take sides that cover much of a period the way round that suits the patch.
-
-        All triangles of a patch turn the same way in (u, v); of those ways, the shortest.
-        """
-        last = np.where(self.free, self.uv[:, 1], self.uv[:, 2])
-        sides = np.stack([self.uv[:, 1] - self.uv[:, 0], last - self.uv[:, 1]], axis=1)
-        wide: _Bools = np.any(np.abs(sides) >= _WIDE * period[:, None], axis=1)  # (f, 2)
-        votes = np.bincount(self.patch, np.where(wide.any(axis=1), 0.0, self.turn))
-        for axis in (0, 1):
-            rows = np.flatnonzero(wide[:, axis])
-            best = np.full(len(rows), np.inf)
-            chosen = self.uv[rows].copy()
-            for one, two in product((0, -1, 1), repeat=2):
-                uv = self.uv[rows].copy()
-                uv[:, 1, axis] += one * period[rows, axis]
-                uv[:, 2, axis] += two * period[rows, axis]
-                free = self.free[rows]
-                turn = _turn(uv, free) * np.sign(votes[self.patch[rows]])
-                end = np.where(free[:, axis], uv[:, 1, axis], uv[:, 2, axis])
-                first, second = uv[:, 0, axis], uv[:, 1, axis]
-                length = (second - first) ** 2 + (end - second) ** 2 + (first - end) ** 2
-                better = (turn > 0) & (length < best * (1 - 1e-9))
-                chosen[better], best[better] = uv[better], length[better]
-            self.uv[rows] = chosen
-
-    def ranges(
-        self, geometry: ExactGeometry, seams: _Floats, n_patches: int
-    ) -> tuple[_Floats, _Floats]:
-        """Return least and greatest parameters of patches, ``(p, 2)`` each.
-
-        Around a period a patch begins at its seam ``(p, 2)`` or, where that is NaN, behind the
-        widest gap between its triangles.
-        """
-        low, high = np.full((n_patches, 2), np.inf), np.full((n_patches, 2), -np.inf)
-        for patch in np.unique(self.patch):
-            uv = self.uv[self.patch == patch].copy()  # (f, 3, 2)
-            for axis in (0, 1):
-                period = geometry.periods.period[patch, axis]
-                if np.isfinite(period):
-                    middle = uv[:, :, axis].mean(axis=1)
-                    start = seams[patch, axis]
-                    start = _behind_gap(middle, period) if np.isnan(start) else start
-                    turns = np.floor((middle - start) / period)
-                    uv[:, :, axis] -= (turns * period)[:, None]
-            low[patch], high[patch] = uv.min(axis=(0, 1)), uv.max(axis=(0, 1))
-        return low, high
-
-    @property
-    def turn(self) -> _Floats:
-        """Twice the area of each triangle in (u, v), negative if clockwise, ``(f,)``."""
-        return _turn(self.uv, self.free)
-
-    def at(self, row: _Ints, s: _Floats, t: _Floats) -> tuple[_Floats, _Floats]:
-        """Map s along the first side and t from there to the last corner; see `_Maps`."""
-        one, two, last = (self.uv[row, i] for i in range(3))
-        free, s, t = self.free[row], s[:, None], t[:, None]
-        base = two - one
-        at_base = one + s * base
-        to_last = np.where(free, at_base, last) - at_base
-        along = base * np.where(free, 1.0, 1 - t)
-        return at_base + t * to_last, _cross(along, to_last)
-
-
-@dataclass(frozen=True, slots=True)
 class _Rim:
     """Segments of curves on patches, in the direction of the patch's loop.
 
@@ -320,9 +209,7 @@ class _Rim:
     geometry: ExactGeometry
 
     @classmethod
-    def of(
-        cls, corners: _Corners, geometry: ExactGeometry, mesh: Mesh, used: Iterable[Use]
-    ) -> _Rim:
+    def of(cls, corners: Corners, geometry: ExactGeometry, mesh: Mesh, used: Iterable[Use]) -> _Rim:
         known = np.asarray(geometry.surfaces.known), np.asarray(geometry.curves.known)
         rows: list[tuple[_Ints, _Floats]] = []
         for use in used:
@@ -362,7 +249,7 @@ class _Rim:
                 if np.isfinite(period):
                     value = self.start[mine, axis]
                     off = np.abs(value - value[0] - period * np.round((value - value[0]) / period))
-                    if (off <= _POLE * period).all():
+                    if (off <= _SEAM * period).all():
                         found[patch, axis] = value.min()
         return found
 
@@ -382,26 +269,11 @@ class _Rim:
         slope = _components(surface.du, surface.dv, jet.d1 * span[:, None])
         away = np.column_stack([u, v]) - chord
         along = (1 - t)[:, None] * (stop - start) + t[:, None] * slope
-        return chord + t[:, None] * away, -_cross(along, away)
-
-
-def _turn(uv: _Floats, free: _Bools) -> _Floats:
-    """Return twice the area of triangles ``(f, 3, 2)``; of free corners, the square's."""
-    base = uv[:, 1] - uv[:, 0]
-    to_last = np.where(free, 0.0, uv[:, 2] - uv[:, 0])
-    return _cross(base, to_last)
-
-
-def _behind_gap(values: _Floats, period: float) -> float:
-    """Return the first of values around a period behind their widest gap, less half of it."""
-    ordered = np.unique(np.mod(values, period))
-    gaps = np.diff(ordered, prepend=ordered[-1] - period)
-    widest = int(gaps.argmax())
-    return float(ordered[widest] - gaps[widest] / 2)
+        return chord + t[:, None] * away, -cross(along, away)
 
 
 def _sides(
-    corners: _Corners, patch: _Ints, start: _Ints, stop: _Ints, n_vertices: int
+    corners: Corners, patch: _Ints, start: _Ints, stop: _Ints, n_vertices: int
 ) -> tuple[_Ints, _Ints]:
     """Return triangle and corner of directed sides of patches, -1 where there is none."""
     vertex = corners.vertex
@@ -448,10 +320,6 @@ def _flat(mesh: Mesh, n_patches: int) -> _Floats:
     return np.column_stack(
         [np.bincount(mesh.patch, values[:, i], minlength=n_patches) for i in range(8)]
     )
-
-
-def _cross(a: _Floats, b: _Floats) -> _Floats:
-    return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
 def arc_lengths(mesh: Mesh, geometry: ExactGeometry, knots: Sequence[_Floats]) -> _Floats:

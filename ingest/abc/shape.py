@@ -122,7 +122,7 @@ def _areas(found: Masses, stats: Stats) -> tuple[_Floats, float]:
     What patches differ from it is put down to those that the mesh is too coarse to tell.
     """
     exact, loose = float(found.area.sum()), found.loose
-    total = stats.mass("surface", exact, float(np.abs(found.area[loose]).sum()) / 2)
+    total = stats.mass("surface", exact, float(found.area[loose].sum()))
     blamed = loose if loose.any() else np.ones(len(loose), dtype=bool)
     share = float(found.area[blamed].sum())
     factor = 1.0 + (total - exact) / share if share else 1.0
@@ -259,7 +259,7 @@ def _parts(
     area = np.bincount(owner, found.area, minlength=count)
     volume = np.bincount(owner, found.volume, minlength=count)
     solids = float(volume[solid].sum())
-    coarse = float(np.abs(found.volume[found.loose]).sum()) / 2
+    coarse = float(np.abs(found.volume[found.loose]).sum())
     total = stats.mass("volume", solids, coarse) if solid.any() else None
     share = total / solids if total is not None and solids else 1.0
     rows = []

@@ -22,6 +22,9 @@ _BARE: Final = re.compile(r"(?<![\d.])(\d+)e")
 _NUMERIC: Final = {ord(sign): None for sign in "0123456789.e+-, []"}
 """All signs of lists of finite numbers, to be left out."""
 
+_NUMBERS: Final = frozenset([int, float])
+"""Types of nearly all items of long lists."""
+
 _PLAIN: Final = re.compile(r"[A-Za-z][A-Za-z0-9_ .-]*[A-Za-z0-9_.-]|[A-Za-z]")
 """Text that needs no quotes, unless it is one of `_WORDS`."""
 
@@ -46,7 +49,7 @@ def yaml_text(data: Mapping[str, Any]) -> str:
     TypeError
         If a value is of another type.
     """
-    return "".join(_mapping(data, ""))
+    return "".join(_mapping(data, "")) if data else "{}\n"
 
 
 def _mapping(data: Mapping[str, Any], indent: str) -> Iterator[str]:
@@ -59,7 +62,7 @@ def _entry(head: str, value: Any, indent: str) -> Iterator[str]:
     if isinstance(value, Mapping) and value:
         yield f"{head}\n"
         yield from _mapping(value, indent + "  ")
-    elif isinstance(value, list) and value and isinstance(value[0], Mapping | list):
+    elif _is_block(value):
         # as PyYAML does, the items of a list stand under its key
         yield f"{head}\n"
         yield from _items(value, indent)
@@ -81,7 +84,7 @@ def _items(values: list[Any], indent: str) -> Iterator[str]:
             )
             yield dash + first[len(dash) :]
             yield from rest
-        elif isinstance(value, list) and value and isinstance(value[0], Mapping | list):
+        elif _is_block(value):
             first, *rest = _items(value, indent + "  ")
             yield dash + first[len(dash) :]
             yield from rest
@@ -89,12 +92,20 @@ def _items(values: list[Any], indent: str) -> Iterator[str]:
             yield f"{dash}{_inline(value, indent + '  ')}\n"
 
 
+def _is_block(value: Any) -> bool:
+    """Tell whether a list is to be written with dashes: any item of it is no scalar."""
+    if not isinstance(value, list) or _NUMBERS.issuperset(map(type, value)):
+        return False
+    return any(isinstance(item, Mapping | list) for item in value)
+
+
 def _rows(values: list[Any]) -> str | None:
     """Return short lists of numbers as ``[...], [...]``; None if there is anything else."""
     if not all(type(row) is list and 0 < len(row) <= _PER_LINE for row in values):
         return None
     text = _numbers(values)
-    return None if text is None or "[[[" in text else text[1:-1]
+    # a row that holds a list is none of numbers
+    return None if text is None or text.count("[") > len(values) + 1 else text[1:-1]
 
 
 def _inline(value: Any, indent: str) -> str:

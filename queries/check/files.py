@@ -17,6 +17,7 @@ from breplake.queries.check.rules import Measure, lake_rule, place
 from breplake.queries.check.stream import KeyScan, scan_keys
 from breplake.schema.identity import model_id
 from breplake.schema.lake import FileProblem, LakeStore
+from breplake.schema.older import CONTRACT, conform, is_older
 from breplake.schema.snapshot import ARRAYS_TABLE, FileEntry, Snapshot
 from breplake.schema.tables import TABLES
 
@@ -59,7 +60,8 @@ class LakeView:
     @cached_property
     def contract_faults(self) -> dict[str, str]:
         """What keeps a Parquet file from being read by its contract, by path."""
-        faults = {e.path: _contract_fault(self.path(e), e.table) for e in self.tables}
+        whole = self.snapshot.contract == CONTRACT
+        faults = {e.path: _contract_fault(self.path(e), e.table, whole) for e in self.tables}
         return {path: fault for path, fault in faults.items() if fault}
 
     @cached_property
@@ -89,6 +91,7 @@ class LakeView:
         for entry in self.readable:
             if entry.table == table:
                 part = pq.read_table(self.path(entry), columns=columns)
+                part = conform(part, TABLES[table].empty().select(columns).schema)
                 shard = pa.array([entry.shard] * part.num_rows, pa.string())
                 parts.append(part.append_column("file_shard", shard))
         if parts:
@@ -97,8 +100,12 @@ class LakeView:
         return empty.append_column("file_shard", pa.array([], pa.string()))
 
 
-def _contract_fault(path: Path, table: str) -> str:
-    """Return how the schema of a file differs from its contract; empty if it does not."""
+def _contract_fault(path: Path, table: str, whole: bool) -> str:
+    """Return how the schema of a file differs from its contract; empty if it does not.
+
+    Unless the snapshot says that files are `whole`, one of an older breplake may lack columns,
+    and members of structures, that can be null.
+    """
     if table not in TABLES:
         return f"the contract has no table {table}"
     try:
@@ -108,12 +115,14 @@ def _contract_fault(path: Path, table: str) -> str:
     except (OSError, pa.ArrowException) as error:
         return f"not a Parquet file: {error}"
     wanted = TABLES[table].schema
+    if not whole:
+        wanted = pa.schema([f for f in wanted if f.name in found.names or not f.nullable])
     if found.names != wanted.names:
         missing = [n for n in wanted.names if n not in found.names]
         added = [n for n in found.names if n not in wanted.names]
         return f"columns differ: missing {missing}, not in the contract {added}"
     for have, want in zip(found, wanted, strict=True):
-        if not have.equals(want):
+        if not have.equals(want) and (whole or not is_older(have, want)):
             return f"column {have.name} is {have} instead of {want}"
     return ""
 

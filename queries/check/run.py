@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import pyarrow.parquet as pq
 
-from breplake.queries.check import arrays as _arrays
 from breplake.queries.check import (
+    areas,
     coedges,
     counts,
     curves,
@@ -22,14 +22,16 @@ from breplake.queries.check import (
     topology,
     triangles,
 )
+from breplake.queries.check import arrays as _arrays
 from breplake.queries.check.files import LakeView
 from breplake.queries.check.report import Report
 from breplake.queries.check.rules import LAKE_RULES, MODEL_RULES, Tally
 from breplake.queries.check.stream import ModelStream
 from breplake.queries.check.view import ModelView
 from breplake.schema.array_reader import ArrayShardReader
+from breplake.schema.older import conform
 from breplake.schema.snapshot import ARRAYS_TABLE, FileEntry
-from breplake.schema.tables import TABLES
+from breplake.schema.tables import MODELS, TABLES
 
 if TYPE_CHECKING:
     from breplake.queries.session import Lake
@@ -41,7 +43,7 @@ Progress = Callable[[int, int, str], None]
 
 RULE_MODULES = (
     *(ids, counts, parts, topology, shapes, parameters, curves, coedges),
-    *(points, triangles, _arrays),
+    *(areas, points, triangles, _arrays),
 )
 """The modules whose rules are registered by importing them."""
 
@@ -141,7 +143,8 @@ def _models(view: LakeView, only: Collection[int] | None) -> Iterator[ModelView 
     for entry in view.readable:
         if entry.table != "models":
             continue
-        rows = pq.read_table(view.path(entry)).sort_by("model_id").to_pylist()
+        models = conform(pq.read_table(view.path(entry)), MODELS.schema)
+        rows = models.sort_by("model_id").to_pylist()
         chosen = [r for r in rows if only is None or r["model_id"] in only]
         if entry.shard in view.broken_shards:
             yield from [None] * len(chosen)
@@ -163,6 +166,10 @@ def _shard(
             reader = ArrayShardReader(view.path(entry))
     for row in rows:
         found = {name: stream.take(row["model_id"]) for name, stream in streams.items()}
-        tables = {name: table for name, table in found.items() if table is not None}
+        tables = {
+            name: conform(table, TABLES[name].schema)
+            for name, table in found.items()
+            if table is not None
+        }
         slices = None if reader is None else _arrays.model_arrays(reader, row)
         yield ModelView(row, tables, slices)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import pytest
 import torch
 
@@ -14,6 +16,20 @@ lightning = pytest.importorskip("lightning")
 pytestmark = pytest.mark.filterwarnings("ignore")  # lightning and its dependencies warn a lot
 
 
+@pytest.fixture(scope="module")
+def lake(tiny_lake, tmp_path_factory):
+    """A lake with the subset s."""
+    root = tmp_path_factory.mktemp("lightning") / "lake"
+    shutil.copytree(tiny_lake, root)
+    lake = breplake.open(root)
+    create_subset(lake, "s", where="n_faces > 0")
+    return lake
+
+
+class Killed(Exception):
+    """Ends a training."""
+
+
 class _Seen(lightning.LightningModule):
     """Notes which clouds it is given; ends in an error at a batch."""
 
@@ -23,8 +39,8 @@ class _Seen(lightning.LightningModule):
         self.seen, self.end = [], end
 
     def training_step(self, batch, number):
-        if self.end is not None and len(self.seen) == self.end:
-            raise KeyboardInterrupt
+        if len(self.seen) == self.end:
+            raise Killed
         self.seen.append(batch.positions.sum().item())
         return self.layer(batch.positions).mean()
 
@@ -32,26 +48,24 @@ class _Seen(lightning.LightningModule):
         return torch.optim.SGD(self.parameters(), 1e-3)
 
 
-def module(lake):
+def module(lake, **options):
     from breplake.loaders.lightning import LakeDataModule
 
     def clouds(lake, subset, split):
         return MeshDataset(lake, subset=subset, split=split).points(8, per_model=10)
 
-    return LakeDataModule(lake, "s", clouds, 4, splits={"train": "all"}, threads=1)
+    return LakeDataModule(lake, "s", clouds, 4, splits={"train": "all"}, **options)
 
 
-def trainer(folder, epochs):
+def trainer(folder, epochs, callbacks=()):
     return lightning.Trainer(
         max_epochs=epochs, default_root_dir=folder, logger=False, accelerator="cpu",
         enable_progress_bar=False, enable_model_summary=False, use_distributed_sampler=False,
-        enable_checkpointing=False,
+        enable_checkpointing=bool(callbacks), callbacks=list(callbacks),
     )  # fmt: skip
 
 
-def test_a_checkpoint_knows_where_training_stands(own_lake, tmp_path):
-    lake = breplake.open(own_lake)
-    create_subset(lake, "s", where="n_faces > 0")
+def test_a_checkpoint_knows_where_training_stands(lake, tmp_path):
     whole = _Seen()
     trainer(tmp_path, 2).fit(whole, module(lake))
     assert len(whole.seen) == 20
@@ -68,9 +82,29 @@ def test_a_checkpoint_knows_where_training_stands(own_lake, tmp_path):
     assert first.seen + second.seen == whole.seen
 
 
-def test_splits_that_are_not_there(own_lake):
-    lake = breplake.open(own_lake)
-    create_subset(lake, "s", where="n_faces > 0")
+@pytest.mark.parametrize(
+    ("end", "options"), [(3, {"workers": 2}), (10, {"threads": 0}), (17, {"threads": 3})]
+)
+def test_a_run_that_is_killed_goes_on_with_the_next_batch(lake, tmp_path, end, options):
+    """In the middle of an epoch, at its end, in the second one; then with other workers."""
+    whole = _Seen()
+    trainer(tmp_path, 2).fit(whole, module(lake))
+
+    saved = lightning.pytorch.callbacks.ModelCheckpoint(
+        dirpath=tmp_path / "saved", filename="{step}", every_n_train_steps=1, save_top_k=-1
+    )
+    first, second = _Seen(end), _Seen()
+    with pytest.raises(Killed):
+        trainer(tmp_path, 2, [saved]).fit(first, module(lake))
+    trainer(tmp_path, 2).fit(
+        second, module(lake, **options), weights_only=False,
+        ckpt_path=tmp_path / f"saved/step={end}.ckpt",
+    )  # fmt: skip
+    assert len(first.seen) == end
+    assert first.seen + second.seen == whole.seen
+
+
+def test_splits_that_are_not_there(lake):
     data = module(lake)
     assert data.val_dataloader() == data.test_dataloader() == []
     assert data.train_dataloader() is data.train_dataloader()

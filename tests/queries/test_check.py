@@ -28,7 +28,7 @@ WriteLake = Callable[..., Path]
 BOX = model_id("hand", "box")
 NEED_A_KERNEL = {
     "shape-graph", "placements", "shape-rows", "edge-curves", "coedge-pcurves",
-    "pcurve-on-curve", "pcurve-loops", "uv-grids",
+    "pcurve-on-curve", "pcurve-loops", "trimmed-areas", "uv-grids",
 }  # fmt: skip
 """Rules on what a lake written by hand lacks; test_check_shapes.py has them on real parts."""
 

@@ -12,7 +12,7 @@ from breplake.schema.tables import TABLES
 
 STORED = {table.name for table in SHAPE_TABLES}
 RULES = ("shape-graph", "placements", "shape-rows", "edge-curves")
-COEDGE_RULES = ("coedge-pcurves", "pcurve-on-curve", "pcurve-loops")
+COEDGE_RULES = ("coedge-pcurves", "pcurve-on-curve", "pcurve-loops", "trimmed-areas")
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +98,10 @@ def moved_pcurve(rows):
     row["location"] = {"u": row["location"]["u"], "v": row["location"]["v"] + 0.5}
 
 
+def wrong_area(rows):
+    max(rows, key=lambda row: row["area"])["area"] *= 1.001
+
+
 @pytest.mark.parametrize(
     ("table", "spoil", "rule"),
     [
@@ -113,6 +117,7 @@ def moved_pcurve(rows):
         ("coedges", no_pcurve, "coedge-pcurves"),
         ("coedges", no_range, "coedge-pcurves"),
         ("pcurves", moved_pcurve, "pcurve-on-curve"),
+        ("patches", wrong_area, "trimmed-areas"),
     ],
 )
 def test_a_fault_breaks_its_rule(model, table, spoil, rule):

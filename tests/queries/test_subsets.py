@@ -7,6 +7,7 @@ import hashlib
 import json
 import shutil
 from dataclasses import replace
+from datetime import timedelta
 
 import numpy as np
 import pyarrow.parquet as pq
@@ -27,11 +28,13 @@ from breplake.queries.subsets import (
     split_codes,
     subsets,
 )
+from breplake.schema.gc import Retention, collect
 from breplake.schema.lake import LakeStore
 from breplake.schema.storage import Storage
 from breplake.schema.subset import Subset, pinned_snapshots, subset_path
 
 HALVES = {"train": 0.5, "test": 0.5}
+META = {"message": "m", "tools": {}, "config_hash": "c"}
 
 
 @pytest.fixture
@@ -58,6 +61,28 @@ def test_a_subset_is_frozen(lake):
     assert [s.name for s in subsets(lake)] == ["large"]
     with pytest.raises(NameNotFoundError, match="train, test"):
         found.ids("validation")
+
+
+def test_a_subset_of_a_snapshot_that_is_collected_meanwhile_fails(lake, monkeypatch):
+    lake.store.commit([], **META)
+    create = lake.store.storage.create
+
+    def collect_first(path, data):
+        store = LakeStore.open(lake.root)
+        assert collect(store, Retention(keep=1), grace=timedelta(0)).snapshots == [1, 2]
+        return create(path, data)
+
+    monkeypatch.setattr(lake.store.storage, "create", collect_first)
+    with pytest.raises(NameNotFoundError, match="snapshot 2 was removed meanwhile"):
+        create_subset(lake, "late", where="true")
+    assert subsets(lake) == []
+
+
+def test_a_subset_made_before_keeps_its_snapshot(lake):
+    create_subset(lake, "early", where="true")
+    lake.store.commit([], **META)
+    assert collect(lake.store, Retention(keep=1), grace=timedelta(0)).snapshots == [1]
+    assert lake.store.verify(lake.store.snapshot(2)) == []
 
 
 def test_any_tool_reads_it(lake):

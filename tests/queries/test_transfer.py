@@ -17,13 +17,15 @@ from breplake.errors import LakeFormatError, NameNotFoundError, UsageError
 from breplake.queries.subsets import create_subset
 from breplake.queries.versions.extract import Selection, extract
 from breplake.queries.versions.mirror import mirror
-from breplake.schema.arrays import ARRAYS
+from breplake.schema.arrays import ARRAYS, AXES, MESH_ARRAYS
 from breplake.schema.gc import Retention, collect
 from breplake.schema.lake import LakeStore
 from breplake.schema.tables import TABLES
 
 META = {"message": "m", "tools": {}, "config_hash": "c"}
-PLACED = ["shard", "vertex_offset", "normal_offset", "face_offset"]
+PLACED = ["shard", *(f"{axis}_offset" for axis in AXES)]
+COUNTS = {"vertex": "n_vertices", "normal": "n_normals", "face": "n_faces"}
+COUNTS |= {"patch": "n_patches", "curve": "n_curves"}
 
 
 @pytest.fixture
@@ -192,12 +194,14 @@ def meshes(lake, identity):
     if row["vertex_offset"] is None:
         return None
     reader = lake.arrays(row["shard"])
-    count = {"vertex": "n_vertices", "normal": "n_normals", "face": "n_faces"}
-    spans = {axis: (row[f"{axis}_offset"], row[name]) for axis, name in count.items()}
-    return {
-        name: reader.read(name, spans[spec.axis][0], sum(spans[spec.axis]))
-        for name, spec in ARRAYS.items()
-    }
+    names = MESH_ARRAYS if row["patch_offset"] is None else ARRAYS
+    return {name: stored(reader, row, name) for name in names}
+
+
+def stored(reader, row, name):
+    axis = ARRAYS[name].axis
+    start = row[f"{axis}_offset"]
+    return reader.read(name, start, start + row[COUNTS[axis]])
 
 
 def assert_same_models(source, target, ids):
@@ -208,6 +212,7 @@ def assert_same_models(source, target, ids):
     for identity in ids:
         one, other = meshes(source, identity), meshes(target, identity)
         assert (one is None) == (other is None)
+        assert (one or {}).keys() == (other or {}).keys()
         for name in one or {}:
             np.testing.assert_array_equal(one[name], other[name])
 

@@ -104,6 +104,19 @@ def test_a_subset_keeps_its_snapshot(replaced):
     assert replaced.verify(replaced.snapshot(1)) == []
 
 
+def test_folders_of_others_in_a_lake_are_left_alone(replaced):
+    """The spool of an ingest that was stopped, and copies for SQL, are no garbage."""
+    for place in ("work/run/model/done.json", "consolidated/models-0.parquet"):
+        path = replaced.root / place
+        path.parent.mkdir(parents=True)
+        path.write_bytes(b"in use")
+    before = contents(replaced.root)
+    for dry_run in (True, False):
+        found = collect(replaced, grace=NONE, dry_run=dry_run)
+        assert (found.garbage, found.young, found.foreign) == ([], [], [])
+    assert contents(replaced.root) == before | {"writer.lock"}
+
+
 def test_a_snapshot_that_is_tagged_meanwhile_stays(replaced, monkeypatch):
     other = LakeStore.open(replaced.root)
     remove = replaced.log.remove

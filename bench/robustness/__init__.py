@@ -1,0 +1,1 @@
+"""Does ingest survive what it is made to survive: broken files, kills."""

@@ -1,0 +1,90 @@
+"""Files that an older breplake wrote: a column that they lack is null.
+
+Columns and tables are added without a new version of the schema, since older readers do not miss
+them. A snapshot says by `contract_hash` whether every file of it has all columns of today; only
+where it does not say so, readers look into the files.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from breplake.schema.contract import Table
+from breplake.schema.tables import TABLES
+
+__all__ = ["CONTRACT", "by_schema", "conform", "contract_hash", "is_older"]
+
+
+def contract_hash(tables: Mapping[str, Table]) -> str:
+    """Return 16 hexadecimal digits that change with the columns of any table, or their types."""
+    lines = (
+        f"{table.name} {field.name} {field.type} {field.nullable}\n"
+        for table in tables.values()
+        for field in table.schema
+    )
+    return hashlib.sha256("".join(lines).encode()).hexdigest()[:16]
+
+
+CONTRACT: Final = contract_hash(TABLES)
+"""Hash of the tables that this breplake writes."""
+
+
+def conform(rows: pa.Table, schema: pa.Schema) -> pa.Table:
+    """Return rows with exactly the columns of `schema`, nulls where they lack one.
+
+    Members that a structure lacks are null too; columns that `schema` has not are left out.
+
+    Raises
+    ------
+    pyarrow.ArrowInvalid
+        If a value does not fit its column.
+    """
+    if rows.schema.equals(schema):
+        return rows
+    columns = [
+        rows.column(field.name).cast(field.type)
+        if field.name in rows.schema.names
+        else pa.nulls(rows.num_rows, field.type)
+        for field in schema
+    ]
+    return pa.Table.from_arrays(columns, schema=schema)
+
+
+def is_older(have: pa.Field, want: pa.Field) -> bool:
+    """Return whether `conform` makes `want` of `have`: it lacks nothing but what can be null."""
+    if pa.types.is_struct(have.type) and pa.types.is_struct(want.type):
+        there = {field.name: field for field in have.type}
+        return there.keys() <= {field.name for field in want.type} and all(
+            is_older(there[field.name], field) if field.name in there else field.nullable
+            for field in want.type
+        )
+    if pa.types.is_list(have.type) and pa.types.is_list(want.type):
+        return is_older(have.type.value_field, want.type.value_field)
+    return bool(have.type.equals(want.type))
+
+
+def by_schema(paths: Iterable[str | Path]) -> list[tuple[pa.Schema, list[str]]]:
+    """Group Parquet files by their columns, read from their footers.
+
+    Returns
+    -------
+    list of tuple
+        Schema, and the files that have it, in their order.
+
+    Raises
+    ------
+    OSError, pyarrow.ArrowInvalid
+        If a file cannot be read.
+    """
+    groups: dict[Sequence[tuple[str, str]], tuple[pa.Schema, list[str]]] = {}
+    for path in paths:
+        schema = pq.read_schema(path).remove_metadata()
+        key = tuple((field.name, str(field.type)) for field in schema)
+        groups.setdefault(key, (schema, []))[1].append(str(path))
+    return list(groups.values())
