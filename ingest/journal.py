@@ -12,7 +12,10 @@ from typing import Any, TextIO
 from breplake.errors import UsageError
 from breplake.ingest.pool import Result
 
-__all__ = ["Journal"]
+__all__ = ["Entry", "Journal", "entry_of"]
+
+Entry = tuple[str, dict[str, Any]]
+"""An event and what belongs to it."""
 
 
 class Journal:
@@ -58,18 +61,27 @@ class Journal:
 
     def result(self, result: Result) -> None:
         """Write how an input ended, with all failures on the way."""
-        if self._file is None:
-            return
-        item = result.input
-        facts: dict[str, Any] = {
-            "collection": item.collection,
-            "name": item.name,
-            "failures": [
-                {"stage": f.stage, "kind": f.kind, "message": f.message, "seconds": f.seconds}
-                for f in result.failures
-            ],
-        }
-        if result.recorded:
-            row = result.spool.read_model()
-            facts |= {key: row.get(key) for key in ("mesh_kind", "seconds", "cpu_total")}
-        self.write("model" if result.recorded else "failed", **facts)
+        if self._file is not None:
+            self.add(entry_of(result))
+
+    def add(self, entry: Entry) -> None:
+        """Write what `entry_of` made."""
+        event, facts = entry
+        self.write(event, **facts)
+
+
+def entry_of(result: Result) -> Entry:
+    """Return how an input ended, with all failures on the way."""
+    item = result.input
+    facts: dict[str, Any] = {
+        "collection": item.collection,
+        "name": item.name,
+        "failures": [
+            {"stage": f.stage, "kind": f.kind, "message": f.message, "seconds": f.seconds}
+            for f in result.failures
+        ],
+    }
+    if result.recorded:
+        row = result.spool.read_model()
+        facts |= {key: row.get(key) for key in ("mesh_kind", "seconds", "cpu_total")}
+    return "model" if result.recorded else "failed", facts

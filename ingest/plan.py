@@ -200,7 +200,7 @@ def _scan(store: LakeStore, table: str, more: str) -> pl.LazyFrame:
 
     columns = ("model_id", "sha256", "config_hash", more)
     head = store.head()
-    paths = [store.root / entry.path for entry in head.table_files(table)] if head else []
+    paths = [store.storage.locate(entry.path) for entry in head.table_files(table)] if head else []
     if not paths:
         schema = {name: pl.Int64 if name == "model_id" else pl.String for name in columns}
         return pl.LazyFrame(schema=schema)

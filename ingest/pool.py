@@ -46,11 +46,14 @@ class Result:
         Where its record lies, if `recorded`.
     failures : list of Failure
         In order of attempts; the last is fatal if there is no record.
+    is_resumed : bool
+        Whether an earlier run had finished it.
     """
 
     input: Input
     spool: Spool
     failures: list[Failure] = field(default_factory=list)
+    is_resumed: bool = False
 
     @property
     def recorded(self) -> bool:

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection
+import tempfile
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from breplake.schema.copies import copy_files
 from breplake.schema.lake import LakeStore
-from breplake.schema.rewrite import rewrite_shard
+from breplake.schema.rewrite import Chosen, rewrite_shard
 from breplake.schema.shard_writer import fresh_name
 from breplake.schema.snapshot import FileEntry, Snapshot
+from breplake.schema.storage import Storage
 
 __all__ = ["remainder"]
 
@@ -47,10 +52,33 @@ def remainder(store: LakeStore, ids: Collection[int]) -> tuple[list[FileEntry], 
     for shard in _shards(store, head, set(ids)):
         entries = [entry for entry in head.files if entry.shard == shard]
         digest = hashlib.sha256(f"{shard} without {sorted(ids)}".encode()).hexdigest()[:16]
-        name = fresh_name(store, digest)
-        files += rewrite_shard(store.root, entries, store, name, stays)
+        with _here(store, entries) as root:
+            files += _rewritten(store, root, entries, digest, stays)
         replaced += [entry.path for entry in entries]
     return files, replaced
+
+
+def _rewritten(
+    store: LakeStore, root: Path, entries: list[FileEntry], name: str, stays: Chosen
+) -> list[FileEntry]:
+    taken: set[str] = set()
+    while True:
+        fresh = fresh_name(store, name, taken)
+        files = rewrite_shard(root, entries, store, fresh, stays)
+        if store.send(files):
+            return files
+        taken.add(fresh)
+
+
+@contextmanager
+def _here(store: LakeStore, entries: list[FileEntry]) -> Iterator[Path]:
+    """Yield a folder that holds files of the lake, a copy where the lake is elsewhere."""
+    if store.storage.is_local:
+        yield store.root
+        return
+    with tempfile.TemporaryDirectory(dir=store.desk.root) as folder:
+        copy_files(store.storage, Storage(folder), entries)
+        yield Path(folder)
 
 
 def _shards(store: LakeStore, head: Snapshot, ids: set[int]) -> list[str]:
@@ -58,7 +86,8 @@ def _shards(store: LakeStore, head: Snapshot, ids: set[int]) -> list[str]:
     found = set()
     for name in ("models", "failures"):
         for entry in head.table_files(name):
-            column = pq.read_table(store.root / entry.path, columns=["model_id"])["model_id"]
+            file = store.storage.reader(entry.path)
+            column = pq.read_table(file, columns=["model_id"])["model_id"]
             if not ids.isdisjoint(column.to_pylist()):
                 found.add(entry.shard)
     return sorted(found)

@@ -5,56 +5,53 @@ from __future__ import annotations
 import errno
 import os
 import platform
+import re
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Final, Literal, NamedTuple
 
 import pyarrow as pa
+from obstore.exceptions import BaseError
 
 from breplake.errors import BreplakeError, StorageError, UsageError
 from breplake.ingest.inputs import Input
 from breplake.ingest.journal import Journal
 from breplake.ingest.plan import Plan, Redo, plan
-from breplake.ingest.pool import Result, discard, run_models
+from breplake.ingest.pool import Result, discard
 from breplake.ingest.replace import remainder
 from breplake.ingest.settings import Settings
 from breplake.ingest.shard import SHARD_MODELS, write_shard
 from breplake.ingest.sources.archives import ARCHIVE
 from breplake.ingest.sources.limits import Limits
 from breplake.ingest.sources.resolve import Sources
+from breplake.ingest.tally import Tally
 from breplake.ingest.versions import versions
-from breplake.ingest.workspace import Workspace
+from breplake.ingest.workspace import Workspace, finished_first, work_root
 from breplake.schema.lake import LakeStore
-from breplake.schema.lock import writer_lock
-from breplake.schema.snapshot import Snapshot
+from breplake.schema.snapshot import FileEntry, Snapshot
 
-__all__ = ["Summary", "ingest"]
+__all__ = ["Engine", "Summary", "ingest"]
 
 
-@dataclass(slots=True)
-class Summary:
-    """How an ingest ended.
+Engine = Literal["local", "ray"]
+"""Where models are ingested: on this machine, or on a cluster that Ray runs."""
+
+
+@dataclass(slots=True, kw_only=True)
+class Summary(Tally):
+    """How an ingest ended: the counts of a `Tally`, and more.
 
     Parameters
     ----------
     plan : Plan
         What it set out to do.
-    n_models : int
-        New rows of ``models``.
-    n_meshed : int
-        Those of them that have mesh and ground truth.
-    n_fatal : int
-        Inputs that are rows of ``failures`` only.
-    n_resumed : int
-        Inputs that an earlier run had finished but not committed.
-    kinds : Counter
-        Failures by (stage, kind), fatal or not.
-    seconds, cpu_seconds : float
-        Wall time of the run, CPU time of the models.
+    seconds : float
+        Wall time of the run.
     snapshot : Snapshot, optional
         The last commit; None if there was nothing to commit.
     stopped : bool
@@ -62,13 +59,7 @@ class Summary:
     """
 
     plan: Plan
-    n_models: int = 0
-    n_meshed: int = 0
-    n_fatal: int = 0
-    n_resumed: int = 0
-    kinds: Counter[tuple[str, str]] = field(default_factory=Counter)
     seconds: float = 0.0
-    cpu_seconds: float = 0.0
     snapshot: Snapshot | None = None
     stopped: bool = False
 
@@ -80,22 +71,6 @@ class Summary:
             for item in self.plan.inputs
             if item.format == ARCHIVE and item.failure and item.failure.kind == "refused"
         ]
-
-    @property
-    def n_done(self) -> int:
-        """Inputs that are finished."""
-        return self.n_models + self.n_fatal
-
-    def add(self, result: Result) -> None:
-        """Count one finished input."""
-        self.kinds.update((failure.stage, failure.kind) for failure in result.failures)
-        if not result.recorded:
-            self.n_fatal += 1
-            return
-        row = result.spool.read_model()
-        self.n_models += 1
-        self.n_meshed += bool(row.get("mesh_kind"))
-        self.cpu_seconds += row["cpu_total"]
 
 
 def ingest(
@@ -110,6 +85,9 @@ def ingest(
     progress: Callable[[Plan, Summary], None] | None = None,
     stop: Callable[[], bool] | None = None,
     log: Path | None = None,
+    engine: Engine = "local",
+    address: str | None = None,
+    work: Path | None = None,
     limits: Limits | None = None,
     tell: Callable[[str], None] | None = None,
 ) -> Summary:
@@ -123,14 +101,16 @@ def ingest(
     ----------
     sources : sequence of path
         Files, folders, archives, lists (``.csv``, ``.parquet``) and ``onshape:`` addresses.
-    lake : path
-        The lake's folder.
+    lake : path or str
+        The lake's folder, or its URL in object storage (``s3://…``): shards are then written on
+        this machine and sent.
     settings : Settings, optional
         What to do to each model.
     collection : str, optional
         Collection of the models; by default named after each source folder.
     jobs : int, optional
-        Number of worker processes; by default one for each processor.
+        Number of worker processes; by default one for each processor. With Ray, of each shard in
+        work; by default as many as the smallest node has processors.
     message : str, optional
         Message of the snapshots.
     redo : Redo, optional
@@ -142,6 +122,13 @@ def ingest(
         is committed.
     log : path, optional
         File to which a line of JSON is appended for each event.
+    engine : {"local", "ray"}
+        Where models are ingested. Both do the same to each model and make the same shards.
+    address : str, optional
+        Of the Ray cluster; by default that of ``RAY_ADDRESS``, else one is started here.
+    work : Path, optional
+        Folder for what is in the making, on each machine. By default it is in the lake, if that
+        is in a folder of this machine, else in the user's cache.
     limits : Limits, optional
         How far archives are trusted.
     tell : callable, optional
@@ -157,21 +144,31 @@ def ingest(
     StorageError
         If the lake cannot be written, for want of space or permission; it is whole all the
         same, and the same call goes on where this one ended.
+    MissingExtraError
+        If the engine is not installed.
     """
     settings = settings or Settings()
-    jobs = jobs or len(os.sched_getaffinity(0))
-    if jobs < 1:
+    if jobs is not None and jobs < 1:
         raise UsageError(f"jobs must be at least 1; got {jobs}")
+    if address is not None and engine != "ray":
+        raise UsageError(f"an address is that of a Ray cluster: give --engine ray, not {engine}")
     text = message or f"ingest {', '.join(str(source) for source in sources)}"
-    with Sources.open(limits, tell, stop) as opened:
+    stop = stop or (lambda: False)
+    with ExitStack() as stack:
+        opened = stack.enter_context(Sources.open(limits, tell, stop))
         inputs = opened.find(sources, collection)
-        with _writable(lake), Journal.open(log) as journal:
-            store = LakeStore.open_or_create(lake)
-            todo = plan(store, inputs, settings, redo, opened.whole)
-            with Workspace.open(store.root, settings) as workspace:
-                run = _Run(store, todo, settings, workspace, journal, opened, text)
-                run.report = progress or run.report
-                return run(jobs, stop or (lambda: False))
+        stack.enter_context(_writable(lake))
+        journal = stack.enter_context(Journal.open(log))
+        store = LakeStore.open_or_create(lake)
+        todo = plan(store, inputs, settings, redo, opened.whole)
+        with Workspace.open(work_root(store.storage, work), settings) as workspace:
+            if not store.storage.is_local:
+                store = store.at_desk(workspace.folder / "desk")
+            run = _Run(store, todo, settings, workspace, journal, opened, text)
+            run.report = progress or run.report
+            if engine == "ray":
+                return run(run.on_cluster(address, jobs, stop, work))
+            return run(run.here(jobs, stop))
 
 
 _HELP: Final = {
@@ -189,13 +186,24 @@ def _writable(lake: str | Path) -> Iterator[None]:
     """Turn the file system's refusals in a block into clear errors about the lake."""
     try:
         yield
-    except OSError as error:
-        if isinstance(error, BreplakeError) or error.errno not in _HELP:
+    except (BaseError, OSError) as error:
+        help_ = _HELP.get(_number(error) or 0)
+        if help_ is None and isinstance(error, BaseError):
+            help_ = "or not be reached: check its address, the credentials and the network"
+        if help_ is None or isinstance(error, BreplakeError):
             raise
         raise StorageError(
-            f"the lake {lake} cannot be written, {_HELP[error.errno]} and run the same command "
+            f"the lake {lake} cannot be written, {help_} and run the same command "
             f"again; what is committed is whole ({error})"
         ) from error
+
+
+def _number(error: Exception) -> int | None:
+    """Return the system's number of an error; obstore only has it in its text."""
+    if isinstance(error, OSError) and error.errno is not None:
+        return error.errno
+    found = re.search(r"os error (\d+)", str(error))
+    return int(found[1]) if found else None
 
 
 class _Run:
@@ -214,52 +222,68 @@ class _Run:
         self.store, self.plan, self.settings = store, todo, settings
         self.workspace, self.journal, self.message = workspace, journal, message
         self.sources = sources
-        self.summary = Summary(todo)
+        self.summary = Summary(plan=todo)
         self.started = time.time()
         self.report: Callable[[Plan, Summary], None] = lambda _plan, _summary: None
 
-    def __call__(self, jobs: int, stop: Callable[[], bool]) -> Summary:
+    def __call__(self, shards: Generator[_Shard]) -> Summary:
+        """Commit every shard as it comes."""
         begin = time.monotonic()
         self.journal.write("plan", todo=len(self.plan.todo), inputs=len(self.plan.inputs))
         self._tell()
-        shards = _Shards(self.plan)
-        for result in self._results(jobs, stop):
-            shard = shards.add(result)
-            if shard:
+        with closing(shards):  # workers end with the run, also if a commit fails
+            for shard in shards:
                 self._commit(shard)
-        rest = shards.rest()
-        if rest:
-            self.summary.stopped = True
-            self._commit(rest)
-        elif self.summary.n_done < len(self.plan.todo):
-            self.summary.stopped = True
-        else:
+        self.summary.stopped = self.summary.stopped or self.summary.n_done < len(self.plan.todo)
+        if not self.summary.stopped:
             self._settle()
         self.summary.seconds = time.monotonic() - begin
         self.journal.write("end", stopped=self.summary.stopped, seconds=self.summary.seconds)
         return self.summary
 
-    def _results(self, jobs: int, stop: Callable[[], bool]) -> Iterator[Result]:
-        """Yield every finished input: first what an earlier run left, then the others."""
-        rest: list[Input] = []
-        for item in self.plan.todo:
-            failures = self.workspace.finished(item)
-            if failures is None:
-                rest.append(item)
-                continue
-            self.summary.n_resumed += 1
-            yield self._counted(Result(item, self.workspace.spool(item), failures))
-        with self.sources.fetcher(rest, self.workspace.folder / "unpacked") as fetcher:
-            models = run_models(rest, self.settings, jobs, self.workspace.spool, stop, fetcher)
-            for result in models:
-                self.workspace.close(result.input, result.failures)
-                yield self._counted(result)
+    def here(self, jobs: int | None, stop: Callable[[], bool]) -> Generator[_Shard]:
+        """Yield shards that this machine ingests; the last may be cut short."""
+        jobs = jobs or len(os.sched_getaffinity(0))
+        shards = _Shards(self.plan)
+        todo, settings = self.plan.todo, self.settings
+        for result in finished_first(self.workspace, todo, settings, jobs, self.sources, stop):
+            self.summary.add(result)
+            self.journal.result(result)
+            self._tell()
+            shard = shards.add(result)
+            if shard:
+                yield self._written_here(shard)
+        rest = shards.rest()
+        if rest:
+            self.summary.stopped = True
+            yield self._written_here(rest)
 
-    def _counted(self, result: Result) -> Result:
-        self.summary.add(result)
-        self.journal.result(result)
-        self._tell()
-        return result
+    def _written_here(self, results: list[Result]) -> _Shard:
+        def write() -> list[FileEntry]:
+            return write_shard(self.store, results, self.settings.config_hash)
+
+        def clear() -> None:
+            for result in results:
+                discard(result)
+
+        return _Shard([result.input for result in results], write, clear)
+
+    def on_cluster(
+        self, address: str | None, jobs: int | None, stop: Callable[[], bool], work: Path | None
+    ) -> Generator[_Shard]:
+        """Yield shards that the nodes of a cluster ingest and put into the lake."""
+        from breplake.ingest.cluster import run_shards
+
+        groups = _Shards(self.plan).inputs()
+        done_shards = run_shards(
+            self.store, groups, self.settings, self.sources, address, jobs, stop, work
+        )
+        for done in done_shards:
+            self.summary.merge(done.tally)
+            for entry in done.events:
+                self.journal.add(entry)
+            self._tell()
+            yield _Shard(done.inputs, partial(list, done.files), lambda: None)
 
     def _tell(self) -> None:
         summary = self.summary
@@ -275,37 +299,38 @@ class _Run:
             failed=summary.n_fatal,
         )
 
+    def _commit(self, shard: _Shard) -> None:
+        redone = self.plan.redone & {item.model_id for item in shard.inputs}
+        snapshot = self._replace(redone, shard.files)
+        self.journal.write("commit", snapshot=snapshot.number, models=len(shard.inputs))
+        shard.clear()
+
     def _settle(self) -> None:
         """Take out the failures that hold no more."""
-        if not self.plan.settled:
-            return
-        with writer_lock(self.store.root):
-            kept, replaced = remainder(self.store, self.plan.settled)
-            if replaced:
-                self.summary.snapshot = self.store.commit(
-                    kept,
-                    message=self.message,
-                    tools=_tools(),
-                    config_hash=self.settings.config_hash,
-                    replaces=replaced,
-                )
+        if self.plan.settled:
+            self._replace(self.plan.settled, list)
 
-    def _commit(self, shard: Sequence[Result]) -> None:
-        redone = self.plan.redone & {result.input.model_id for result in shard}
-        with writer_lock(self.store.root):
-            kept, replaced = remainder(self.store, redone)
-            files = write_shard(self.store, shard, self.settings.config_hash)
-            snapshot = self.store.commit(
-                [*kept, *files],
+    def _replace(self, ids: Collection[int], files: Callable[[], list[FileEntry]]) -> Snapshot:
+        """Commit new files in place of the models and failures `ids`."""
+        with self.store.lock():
+            kept, replaced = remainder(self.store, ids)
+            self.summary.snapshot = self.store.commit(
+                [*kept, *files()],
                 message=self.message,
                 tools=_tools(),
                 config_hash=self.settings.config_hash,
                 replaces=replaced,
             )
-        self.summary.snapshot = snapshot
-        self.journal.write("commit", snapshot=snapshot.number, models=len(shard))
-        for result in shard:
-            discard(result)
+        self.store.clear_desk()
+        return self.summary.snapshot
+
+
+class _Shard(NamedTuple):
+    """Finished inputs, how their files get into the lake, and what to do once they are there."""
+
+    inputs: Sequence[Input]
+    files: Callable[[], list[FileEntry]]
+    clear: Callable[[], None]
 
 
 class _Shards:
@@ -317,6 +342,7 @@ class _Shards:
 
     def __init__(self, plan: Plan) -> None:
         self._place = {item.model_id: i for i, item in enumerate(plan.inputs)}
+        self._todo = plan.todo
         self._size = Counter(self._group(item) for item in plan.todo)
         self._open: dict[int, list[Result]] = {}
 
@@ -331,6 +357,13 @@ class _Shards:
         if len(shard) < self._size[group]:
             return None
         return self._sorted(self._open.pop(group))
+
+    def inputs(self) -> list[list[Input]]:
+        """Return what is left to do of each shard."""
+        groups: dict[int, list[Input]] = {}
+        for item in sorted(self._todo, key=lambda item: self._place[item.model_id]):
+            groups.setdefault(self._group(item), []).append(item)
+        return list(groups.values())
 
     def rest(self) -> list[Result]:
         """Return what shards that never became complete hold."""

@@ -37,10 +37,10 @@ def shard_name(results: Sequence[Result], config_hash: str) -> str:
 
 
 def write_shard(store: LakeStore, results: Sequence[Result], config_hash: str) -> list[FileEntry]:
-    """Write all tables and arrays of `results` and register them, ready for a commit.
+    """Write all tables and arrays of `results`, register and send them, ready for a commit.
 
     Rows are sorted by model_id, then id. Files that an interrupted run left under the same
-    name belong to no snapshot and are replaced.
+    name belong to no snapshot and are replaced, if they are in a local folder.
 
     Parameters
     ----------
@@ -51,7 +51,19 @@ def write_shard(store: LakeStore, results: Sequence[Result], config_hash: str) -
     config_hash : str
         Of the settings.
     """
-    name = fresh_name(store, shard_name(results, config_hash))
+    taken: set[str] = set()
+    while True:
+        name = fresh_name(store, shard_name(results, config_hash), taken)
+        files = _write_shard(store, results, config_hash, name)
+        if store.send(files):
+            return files
+        taken.add(name)
+        store.clear_desk()
+
+
+def _write_shard(
+    store: LakeStore, results: Sequence[Result], config_hash: str, name: str
+) -> list[FileEntry]:
     ordered = sorted(results, key=lambda result: result.input.model_id)
     recorded = [result for result in ordered if result.recorded]
     rows = [_finished(result, name) for result in recorded]

@@ -3,22 +3,28 @@
 ::
 
     LAKE/work/<run>/lock                       held as long as the run lives
+    LAKE/work/<run>/desk/                      the shard in the making, if it is to be sent
     LAKE/work/<run>/status.json                where it stands, for ``ingest --status``
     LAKE/work/<run>/<model>-<bytes>-<settings>/  spool of one input; done.json closes it
 
 A run that was killed leaves its folder with the lock open. The next one takes over the finished
 records of the same bytes, settings and versions, and removes the rest.
+
+Of a lake in object storage, and on the nodes of a cluster, they are in a folder of the machine
+(`work_root`) instead.
 """
 
 from __future__ import annotations
 
 import fcntl
+import hashlib
 import json
 import os
+import platform
 import shutil
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -26,11 +32,14 @@ from typing import Any, Final
 
 from breplake.ingest.failure import Failure
 from breplake.ingest.inputs import Input
+from breplake.ingest.pool import Result, run_models
 from breplake.ingest.settings import Settings
+from breplake.ingest.sources.resolve import Sources
 from breplake.ingest.spool import Spool
 from breplake.ingest.versions import versions
+from breplake.schema.storage import Storage
 
-__all__ = ["WORK", "Workspace", "running"]
+__all__ = ["WORK", "Workspace", "finished_first", "running", "work_root"]
 
 WORK: Final = "work"
 """Folder of the lake that holds the workspaces."""
@@ -67,7 +76,7 @@ class Workspace:
         It is removed when the block ends well; else what is finished stays for the next run.
         """
         home = root / WORK
-        home.mkdir(exist_ok=True)
+        home.mkdir(parents=True, exist_ok=True)
         name = uuid.uuid4().hex[:12]
         new = home / f"{_UNLOCKED}{name}"
         new.mkdir()
@@ -124,6 +133,64 @@ class Workspace:
                     if json.loads(path.read_text())["versions"] == self._versions:
                         path.parent.rename(self.folder / path.parent.name)
                 shutil.rmtree(other)
+
+
+def work_root(storage: Storage, work: Path | None = None, *, here: bool = False) -> Path:
+    """Return the folder below which the workspaces of a lake are.
+
+    Parameters
+    ----------
+    storage : Storage
+        The lake's.
+    work : Path, optional
+        The folder that was asked for; a lake has one of its own in it.
+    here : bool
+        On this machine, even if the lake's folder could be used.
+    """
+    if work is None and storage.is_local and not here:
+        return storage.root
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "breplake"
+    name = hashlib.sha256(storage.name.encode()).hexdigest()[:16]
+    # locks need not reach across the machines that share a home
+    return (work or cache) / f"{name}-{platform.node()}"
+
+
+def finished_first(
+    workspace: Workspace,
+    inputs: Sequence[Input],
+    settings: Settings,
+    jobs: int,
+    sources: Sources,
+    stop: Callable[[], bool] = lambda: False,
+) -> Iterator[Result]:
+    """Yield every finished input: first what an earlier run left, then the others, run now.
+
+    Parameters
+    ----------
+    workspace : Workspace
+        Of this run.
+    inputs : sequence of Input
+        What is to be finished, in order.
+    settings : Settings
+        What to do to each model.
+    jobs : int
+        Number of worker processes.
+    sources : Sources
+        Brings the bytes that are in no file yet.
+    stop : callable
+        Asked often; once it returns True the models in work are given up.
+    """
+    rest: list[Input] = []
+    for item in inputs:
+        failures = workspace.finished(item)
+        if failures is None:
+            rest.append(item)
+        else:
+            yield Result(item, workspace.spool(item), failures, is_resumed=True)
+    with sources.fetcher(rest, workspace.folder / "unpacked") as fetcher:
+        for result in run_models(rest, settings, jobs, workspace.spool, stop, fetcher):
+            workspace.close(result.input, result.failures)
+            yield result
 
 
 def running(root: Path) -> list[dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+
 import numpy as np
 import torch
 
@@ -14,6 +15,7 @@ from breplake.loaders.meshes import MeshDataset
 from breplake.loaders.samples import GridSample
 
 __all__ = ["GridDataset"]
+
 
 class GridDataset(SampleDataset[GridSample]):
     """UV-grids of all patches and curves of the models, and which patches meet at which curve.

@@ -46,7 +46,7 @@ class ModelIndex:
     Parameters
     ----------
     lake : Lake, str or pathlib.Path
-        A lake at a snapshot, or the folder of one (then its newest snapshot).
+        A lake at a snapshot, or the folder or URL of one (then its newest snapshot).
     where : str, optional
         SQL condition on columns of ``models``.
     subset : Subset or str, optional
@@ -134,7 +134,7 @@ class ModelIndex:
     @property
     def described(self) -> str:
         """The lake and what was chosen from it, as an argument list."""
-        parts = [repr(str(self.lake.root))]
+        parts = [repr(self.lake.place)]
         if self.where:
             parts.append(f"where={self.where!r}")
         if self.subset is not None:
@@ -265,7 +265,7 @@ def _read_shard(
     if entry is None:
         raise UsageError(f"shard {shard} has no table {name}: its models were ingested without")
     # without threads: a worker may have been forked from a process that has some
-    with pq.ParquetFile(lake.root / entry.path) as file:
+    with pq.ParquetFile(lake.store.storage.reader(entry.path)) as file:
         rows = file.read([*columns, "model_id"], use_threads=False)
     schema = TABLES[name].schema
     rows = conform(rows, pa.schema([schema.field(column) for column in [*columns, "model_id"]]))

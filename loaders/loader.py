@@ -86,7 +86,8 @@ class Loader:
     pin_memory : bool
         Put batches into pinned memory, where there is an accelerator.
     context : str, optional
-        How workers are started: ``fork``, ``spawn`` or ``forkserver``.
+        How workers are started: ``fork``, ``spawn`` or ``forkserver``. By default as torch does
+        it; by ``forkserver`` for a lake that is reached over a network, as no fork reads from one.
     timeout : float
         Seconds to wait for a batch of a worker; 0 waits for ever.
 
@@ -249,7 +250,7 @@ class Loader:
                 prefetch_factor=self.prefetch,
                 persistent_workers=True,
                 pin_memory=self.pin_memory,
-                multiprocessing_context=self.context,
+                multiprocessing_context=self.context or _fit_context(self.dataset),
                 timeout=self.timeout,
                 collate_fn=_as_is,
                 worker_init_fn=settle,
@@ -278,6 +279,12 @@ class Loader:
 
 _Key = tuple[npt.NDArray[np.int64], int]
 """Numbers of a batch's samples, and the epoch."""
+
+
+def _fit_context(dataset: Batched) -> str | None:
+    """Return how workers are started that read a lake over a network; None is torch's way."""
+    index = getattr(dataset, "index", None)
+    return None if index is None or index.lake.store.storage.is_local else "forkserver"
 
 
 class _Reader(Dataset[Any]):

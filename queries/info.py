@@ -84,7 +84,7 @@ def describe(lake: Lake) -> LakeInfo:
         sizes[entry.table] = sizes.get(entry.table, 0) + entry.bytes
     failures = "SELECT stage || '/' || kind, count(*) FROM failures GROUP BY ALL ORDER BY 2 DESC, 1"
     return LakeInfo(
-        root=str(lake.root),
+        root=lake.place,
         lake_id=lake.store.lake_id,
         snapshot=lake.snapshot.number,
         snapshots=len(lake.store.numbers()),

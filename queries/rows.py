@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,23 +40,23 @@ class RowReader:
 
     Parameters
     ----------
-    root : pathlib.Path
-        The lake's folder.
+    storage : Storage
+        The lake.
     snapshot : Snapshot
         Whose files are read.
     """
 
-    def __init__(self, root: Path, snapshot: Snapshot) -> None:
-        self._root = root
+    def __init__(self, storage: Storage, snapshot: Snapshot) -> None:
+        self._storage = storage
         self._snapshot = snapshot
         self._files = {(entry.table, entry.shard): entry for entry in snapshot.files}
         self._footers: OrderedDict[str, _Footer] = OrderedDict()
         self._ids: npt.NDArray[np.int64] | None = None  # (models,) ascending
         self._shards: npt.NDArray[np.str_] | None = None  # (models,)
 
-    def __reduce__(self) -> tuple[type[RowReader], tuple[Path, Snapshot]]:
+    def __reduce__(self) -> tuple[type[RowReader], tuple[Storage, Snapshot]]:
         """Pickle without what was cached."""
-        return type(self), (self._root, self._snapshot)
+        return type(self), (self._storage, self._snapshot)
 
     def shard_of(self, model_id: int) -> str | None:
         """Return the shard that holds a model, or None if it is not in ``models``."""
@@ -96,7 +95,7 @@ class RowReader:
 
     def _read_index(self) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.str_]]:
         entries = self._snapshot.table_files("models")
-        ids = read_ids(Storage(self._root), entries)
+        ids = read_ids(self._storage, entries)
         names = np.array([entry.shard for entry in entries], np.str_)
         order = np.argsort(ids)
         return ids[order], np.repeat(names, [entry.rows for entry in entries])[order]
@@ -107,7 +106,7 @@ class RowReader:
         footer = self._footer(entry)
         groups = np.flatnonzero((footer.low <= model_id) & (model_id <= footer.high))
         wanted = None if columns is None else list(dict.fromkeys([*columns, "model_id"]))
-        with pq.ParquetFile(self._root / entry.path, metadata=footer.metadata) as file:
+        with pq.ParquetFile(self._storage.reader(entry.path), metadata=footer.metadata) as file:
             rows = file.read_row_groups(groups.tolist(), columns=wanted)
         schema = TABLES[entry.table].schema
         if wanted is not None:
@@ -120,7 +119,7 @@ class RowReader:
             self._footers.move_to_end(entry.path)
             return self._footers[entry.path]
         try:
-            metadata = pq.read_metadata(self._root / entry.path)
+            metadata = pq.read_metadata(self._storage.reader(entry.path))
         except (OSError, pa.ArrowInvalid) as error:
             raise LakeFormatError(f"{entry.path}: {error}; run breplake check") from error
         at = metadata.schema.to_arrow_schema().get_field_index("model_id")

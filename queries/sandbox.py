@@ -92,6 +92,8 @@ class Sandbox:
             If it took too long or too much memory, or has too large an answer.
         LakeFormatError
             If a file of the lake cannot be read.
+        UsageError
+            If the lake is not in a local folder.
         """
         import pyarrow as pa
 
@@ -111,6 +113,7 @@ class Sandbox:
         return pa.ipc.open_stream(pa.py_buffer(answer)[end + 1 :]).read_all()
 
     def _request(self, query: str) -> dict[str, Any]:
+        assert self.lake.root  # raises for a lake elsewhere: the process has no network
         return {
             "query": query,
             "files": {table: self.lake.sources(table) for table in TABLES},

@@ -14,7 +14,7 @@ from breplake.queries.rows import RowReader
 from breplake.schema.array_reader import ArrayShardReader
 from breplake.schema.lake import LakeStore
 from breplake.schema.older import CONTRACT
-from breplake.schema.snapshot import ARRAYS_TABLE, Snapshot
+from breplake.schema.snapshot import ARRAYS_TABLE, FileEntry, Snapshot
 from breplake.schema.tables import TABLES
 
 if TYPE_CHECKING:
@@ -39,7 +39,8 @@ class Lake:
     Parameters
     ----------
     path : str or pathlib.Path
-        The lake's folder.
+        The lake's folder, or its URL in object storage (``s3://…``, ``gs://…``, ``az://…``) or on
+        a web server. Credentials are those of the environment.
     at : int or str, optional
         Number or tag of a snapshot; the newest if not given. The session stays at that
         snapshot when others commit.
@@ -67,33 +68,46 @@ class Lake:
         self._reset()
 
     def _reset(self) -> None:
-        self._rows = RowReader(self.root, self.snapshot)
+        self._rows = RowReader(self.store.storage, self.snapshot)
         self._shards: dict[str, ArrayShardReader] = {}
         self._connection: duckdb.DuckDBPyConnection | None = None
         self._pid = os.getpid()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {"root": self.root, "number": self.snapshot.number}
+        return {"place": self.place, "number": self.snapshot.number}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.store = LakeStore.open(state["root"])
+        self.store = LakeStore.open(state["place"])
         self.snapshot = self.store.snapshot(state["number"])
         self._reset()
 
     def __repr__(self) -> str:
-        return f"Lake({str(self.root)!r}, at={self.snapshot.number})"
+        return f"Lake({self.place!r}, at={self.snapshot.number})"
 
     @property
     def root(self) -> Path:
-        """Absolute path of the lake's folder."""
+        """Absolute path of the lake's folder.
+
+        Raises
+        ------
+        UsageError
+            If the lake is not in a local folder.
+        """
         return self.store.root
+
+    @property
+    def place(self) -> str:
+        """Absolute path of the lake's folder, or its URL."""
+        return self.store.storage.name
 
     def at(self, at: int | str | None = None) -> Lake:
         """Return this lake at another snapshot, by number or tag; None is the newest."""
-        return Lake(self.root, at)
+        return Lake(self.place, at)
 
     def files(self, table: str) -> list[str]:
-        """Return the absolute paths of a table's files (or of ``arrays``) at this snapshot.
+        """Return the paths of a table's files (or of ``arrays``) at this snapshot.
+
+        They are absolute, or URLs.
 
         Raises
         ------
@@ -101,13 +115,13 @@ class Lake:
             If there is no such table.
         """
         _require_table(table, ARRAYS_TABLE)
-        return [str(self.root / entry.path) for entry in self.snapshot.table_files(table)]
+        return [self.store.storage.locate(entry.path) for entry in self.snapshot.table_files(table)]
 
     def sources(self, table: str) -> list[str]:
-        """Return the files from which a whole table is read fastest, absolute.
+        """Return the files from which a whole table is read fastest, absolute or URLs.
 
-        That is its consolidated copy if there is one (`breplake.queries.consolidated`), else its
-        files.
+        That is its consolidated copy if there is one in the local folder
+        (`breplake.queries.consolidated`), else its files.
 
         Raises
         ------
@@ -117,6 +131,8 @@ class Lake:
         from breplake.queries.consolidated import consolidated_path
 
         files = self.files(table)
+        if not self.store.storage.is_local:
+            return files
         copy = consolidated_path(self.root, table, self.snapshot.table_files(table))
         return [str(copy)] if files and copy.exists() else files
 
@@ -152,11 +168,40 @@ class Lake:
             },
         )
         try:
-            files = {table: self.sources(table) for table in TABLES}
-            create_views(connection, files, uniform=self.snapshot.contract == CONTRACT)
+            uniform = self.snapshot.contract == CONTRACT
+            create_views(connection, self._views(connection), uniform, self._opened)
         except (duckdb.Error, OSError, pa.ArrowException) as error:
             raise LakeFormatError(f"the lake is damaged ({error}): run breplake check") from error
         return connection
+
+    def _views(self, connection: duckdb.DuckDBPyConnection) -> dict[str, Sequence[str]]:
+        """Return what DuckDB reads each table from; let it read over the network if need be."""
+        storage = self.store.storage
+        if storage.is_local:
+            return {table: self.sources(table) for table in TABLES}
+        from breplake.queries.remote import LakeFiles
+
+        connection.register_filesystem(LakeFiles(storage))
+        return {
+            table: [self.sql_path(entry) for entry in self.snapshot.table_files(table)]
+            for table in TABLES
+        }
+
+    def _opened(self, path: str) -> Any:
+        """Return what pyarrow reads a file from that `_views` named."""
+        if self.store.storage.is_local:
+            return path
+        from breplake.queries.remote import lake_path
+
+        return self.store.storage.reader(lake_path(path))
+
+    def sql_path(self, entry: FileEntry) -> str:
+        """Return what `connection` calls a file of the lake: its path, where it is local."""
+        if self.store.storage.is_local:
+            return self.store.storage.locate(entry.path)
+        from breplake.queries.remote import lake_url
+
+        return lake_url(entry.path)
 
     def sql(
         self, query: str, params: Sequence[Any] | Mapping[str, Any] | None = None
@@ -392,7 +437,7 @@ class Lake:
                 raise NameNotFoundError(
                     f"snapshot {self.snapshot.number} has no arrays of {shard!r}"
                 )
-            self._shards[shard] = ArrayShardReader(self.root / entry.path)
+            self._shards[shard] = ArrayShardReader(self.store.storage.folder(entry.path))
         return self._shards[shard]
 
     def info(self) -> LakeInfo:

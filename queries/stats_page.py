@@ -43,7 +43,7 @@ def page(
     texts = _captions(sums)
     drawn = {name: _figure(chart, texts[name], name, numbers) for name, chart in charts.items()}
     return Template(template).substitute(
-        title=escape(f"Statistics of {lake.root.name}"),
+        title=escape(f"Statistics of {lake.place.rpartition('/')[2]}"),
         lead=_lead(lake, numbers),
         keys="\n".join(_keys(sums)),
         types=drawn["surface_types"] + drawn["curve_types"],

@@ -21,7 +21,6 @@ import pyarrow as pa
 from breplake.errors import NameNotFoundError, UsageError
 from breplake.queries.names import did_you_mean
 from breplake.queries.session import Lake
-from breplake.schema.storage import Storage
 from breplake.schema.subset import WHOLE, Subset, subset_names, subset_path
 
 __all__ = [
@@ -173,7 +172,7 @@ def load_subset(lake: Lake, name: str) -> Subset:
     LakeFormatError
         If its file is damaged.
     """
-    storage = Storage(lake.root)
+    storage = lake.store.storage
     path = subset_path(name)
     try:
         if not _NAME.fullmatch(name):
@@ -182,12 +181,12 @@ def load_subset(lake: Lake, name: str) -> Subset:
     except FileNotFoundError:
         known = subset_names(storage)
         hint = did_you_mean(name, known) or f": there are {', '.join(known[:_SHOWN]) or 'none'}"
-        raise NameNotFoundError(f"the lake {lake.root} has no subset {name!r}{hint}") from None
+        raise NameNotFoundError(f"the lake {lake.place} has no subset {name!r}{hint}") from None
 
 
 def subsets(lake: Lake) -> list[Subset]:
     """Return all subsets of a lake, sorted by name."""
-    return [load_subset(lake, name) for name in subset_names(Storage(lake.root))]
+    return [load_subset(lake, name) for name in subset_names(lake.store.storage)]
 
 
 def diff_subsets(first: Subset, second: Subset) -> SubsetDiff:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import resources
-from typing import Final
+from typing import Any, Final
 
 import duckdb
 import pyarrow as pa
@@ -26,7 +26,10 @@ def derived_sql(name: str) -> str:
 
 
 def create_views(
-    connection: duckdb.DuckDBPyConnection, files: Mapping[str, Sequence[str]], *, uniform: bool
+    connection: duckdb.DuckDBPyConnection,
+    files: Mapping[str, Sequence[str]],
+    uniform: bool,
+    opened: Callable[[str], Any] = str,
 ) -> None:
     """Create a view for each table over exactly the given files, then the derived ones.
 
@@ -35,10 +38,13 @@ def create_views(
     connection : duckdb.DuckDBPyConnection
         An empty session.
     files : dict of str to sequence of str
-        Absolute paths by table; a table without files becomes an empty view.
+        What `connection` reads, by table: absolute paths, or URLs of a file system that is
+        registered with it. A table without files becomes an empty view.
     uniform : bool
         Whether every file has all columns. If not, the files' footers are read, and a column that
         a file lacks is null.
+    opened : callable, optional
+        Returns what pyarrow reads one of `files` from.
 
     Raises
     ------
@@ -52,7 +58,7 @@ def create_views(
         elif uniform:
             body = _over_files(table, paths)
         else:
-            body = _over_older(connection, table, paths)
+            body = _over_older(connection, table, paths, opened)
         connection.execute(f"CREATE VIEW {name} AS {body}")
     for name in DERIVED:
         connection.execute(f"CREATE VIEW {name} AS {derived_sql(name)}")
@@ -62,12 +68,17 @@ def _over_files(table: Table, paths: Sequence[str]) -> str:
     return _select((f'"{column.name}"' for column in table.columns), paths)
 
 
-def _over_older(connection: duckdb.DuckDBPyConnection, table: Table, paths: Sequence[str]) -> str:
+def _over_older(
+    connection: duckdb.DuckDBPyConnection,
+    table: Table,
+    paths: Sequence[str],
+    opened: Callable[[str], Any],
+) -> str:
     """Return SQL over files of which some may lack columns, or members of structures."""
     kinds = _kinds(connection, table)
     return " UNION ALL ".join(
         _select((_column(field, schema, kinds[field.name]) for field in table.schema), group)
-        for schema, group in by_schema(paths)
+        for schema, group in by_schema(paths, opened)
     )
 
 

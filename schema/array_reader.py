@@ -9,7 +9,6 @@ slower by an order of magnitude.  On local files it is also the fastest of the t
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,8 +17,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from breplake.errors import LakeFormatError, UsageError
+from breplake.errors import BreplakeError, LakeFormatError, UsageError
 from breplake.schema.arrays import ARRAYS, GRID_ARRAYS, ArraySpec
+from breplake.schema.ranges import Folder, LocalFolder
 
 __all__ = ["ArrayShardReader"]
 
@@ -35,19 +35,19 @@ class ArrayShardReader:
 
     Parameters
     ----------
-    path : pathlib.Path
-        The shard's folder, ``arrays/<shard>.zarr``.
+    folder : pathlib.Path or Folder
+        The shard's folder, ``arrays/<shard>.zarr``: its path, or `Storage.folder`.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, folder: Path | Folder) -> None:
+        self._folder = LocalFolder(folder) if isinstance(folder, Path) else folder
         self._layouts: dict[str, _Layout] = {}
         self._indices: dict[tuple[str, int], npt.NDArray[np.uint64] | None] = {}
 
     @property
     def grid(self) -> int:
         """Points along a side of the shard's UV-grids; 0 if it has none."""
-        if not (self.path / GRID_ARRAYS[0]).exists():
+        if not self._has_grids():
             return 0
         return self._layout(GRID_ARRAYS[0]).tail[0]
 
@@ -87,9 +87,11 @@ class ArrayShardReader:
             high = min(stop, (number + 1) * layout.file_rows)
             try:
                 self._read_file(layout, number, low, out[low - start : high - start])
+            except BreplakeError:
+                raise
             except (OSError, RuntimeError, ValueError) as error:
                 raise LakeFormatError(
-                    f"array {name} in {self.path} is damaged ({error}): run breplake check"
+                    f"array {name} in {self._folder.name} is damaged ({error}): run breplake check"
                 ) from error
         return out
 
@@ -101,10 +103,15 @@ class ArrayShardReader:
         if name not in self._layouts:
             if name not in ARRAYS:
                 raise UsageError(f"there is no array {name!r}: one of {', '.join(ARRAYS)}")
-            if name in GRID_ARRAYS and not (self.path / name).exists():
-                raise UsageError(f"{self.path} has no {name}: breplake ingest --uv-grid makes them")
-            self._layouts[name] = _read_layout(self.path / name, ARRAYS[name])
+            if name in GRID_ARRAYS and not self._has_grids():
+                raise UsageError(
+                    f"{self._folder.name} has no {name}: breplake ingest --uv-grid makes them"
+                )
+            self._layouts[name] = _read_layout(self._folder, ARRAYS[name])
         return self._layouts[name]
+
+    def _has_grids(self) -> bool:
+        return self._folder.has(f"{GRID_ARRAYS[0]}/zarr.json")
 
     def _read_file(self, layout: _Layout, number: int, start: int, out: npt.NDArray[Any]) -> None:
         """Fill `out` with the rows from `start` on, all of them in file `number`."""
@@ -120,7 +127,7 @@ class ArrayShardReader:
         present = chunks[chunks[:, 0] != _ABSENT]
         begin = int(present[:, 0].min()) if len(present) else 0
         end = int(present.sum(axis=1).max()) if len(present) else 0
-        data = memoryview(_pread(layout.file(number), begin, end - begin))
+        data = memoryview(self._folder.read_range(layout.file(number), begin, end - begin))
         for chunk, (offset, length) in zip(range(first, last), chunks.tolist(), strict=True):
             low, high = max(start, chunk * size), min(start + len(out), (chunk + 1) * size)
             part = out[low - start : high - start]
@@ -134,7 +141,7 @@ class ArrayShardReader:
         """Return offset and length of each chunk of a file, or None if the file is absent."""
         key = (layout.spec.name, number)
         if key not in self._indices:
-            self._indices[key] = _read_index(layout, number)
+            self._indices[key] = _read_index(self._folder, layout, number)
         return self._indices[key]
 
 
@@ -142,7 +149,6 @@ class ArrayShardReader:
 class _Layout:
     """Where the rows of an array are."""
 
-    path: Path
     spec: ArraySpec
     tail: tuple[int, ...]  # shape of a row
     rows: int
@@ -150,14 +156,15 @@ class _Layout:
     chunk_rows: int
     fill: float
 
-    def file(self, number: int) -> Path:
-        return self.path / f"c/{number}{'/0' * len(self.tail)}"
+    def file(self, number: int) -> str:
+        return f"{self.spec.name}/c/{number}{'/0' * len(self.tail)}"
 
 
-def _read_layout(path: Path, spec: ArraySpec) -> _Layout:
+def _read_layout(folder: Folder, spec: ArraySpec) -> _Layout:
     """Read an array's ``zarr.json`` and refuse what this reader does not decode."""
+    name = f"{folder.name}/{spec.name}"
     try:
-        document = json.loads((path / "zarr.json").read_bytes())
+        document = json.loads(folder.read(f"{spec.name}/zarr.json"))
         (codec,) = document["codecs"]
         sharding = codec["configuration"]
         shape, outer = document["shape"], document["chunk_grid"]["configuration"]["chunk_shape"]
@@ -174,36 +181,24 @@ def _read_layout(path: Path, spec: ArraySpec) -> _Layout:
             and tuple(shape) == spec.shape(shape[0], shape[1] if spec.grid else 0)
         )
         tail, fill = tuple(shape[1:]), document["fill_value"]
-        layout = _Layout(path, spec, tail, shape[0], outer[0], inner[0], fill)
+        layout = _Layout(spec, tail, shape[0], outer[0], inner[0], fill)
+    except UsageError:
+        raise
     except (OSError, KeyError, IndexError, TypeError, ValueError) as error:
-        raise LakeFormatError(f"{path} is not an array of a lake: {error!r}") from error
+        raise LakeFormatError(f"{name} is not an array of a lake: {error!r}") from error
     if not known:
-        raise LakeFormatError(f"{path} is a Zarr array, but not laid out as a lake's are")
+        raise LakeFormatError(f"{name} is a Zarr array, but not laid out as a lake's are")
     return layout
 
 
-def _read_index(layout: _Layout, number: int) -> npt.NDArray[np.uint64] | None:
-    path = layout.file(number)
+def _read_index(folder: Folder, layout: _Layout, number: int) -> npt.NDArray[np.uint64] | None:
     count = layout.file_rows // layout.chunk_rows
     size = 16 * count + 4  # offset and length of each chunk, and the index's checksum
     try:
-        end = path.stat().st_size
+        data = folder.read_end(layout.file(number), size)
     except FileNotFoundError:
         return None
-    data = _pread(path, end - size, size)
     return np.frombuffer(data, dtype="<u8", count=2 * count).reshape(count, 2)
-
-
-def _pread(path: Path, offset: int, size: int) -> bytes:
-    """Read exactly `size` bytes at `offset`."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        data = os.pread(descriptor, size, offset)
-    finally:
-        os.close(descriptor)
-    if len(data) != size:
-        raise ValueError(f"{path} ends early")
-    return data
 
 
 def _decode(data: memoryview, layout: _Layout) -> npt.NDArray[Any]:

@@ -29,12 +29,13 @@ from breplake.errors import (
     NameNotFoundError,
     UsageError,
 )
+from breplake.schema.copies import claim, copy_files
 from breplake.schema.files import FileProblem, checked_name, compare, describe
 from breplake.schema.identities import IdentityIndex
 from breplake.schema.lock import writer_lock
 from breplake.schema.older import CONTRACT
 from breplake.schema.snapshot import FileEntry, Header, Snapshot
-from breplake.schema.storage import Storage
+from breplake.schema.storage import Storage, local_folder
 from breplake.schema.tables import SCHEMA_VERSION, TABLES
 from breplake.schema.versions import VersionLog
 
@@ -52,9 +53,9 @@ _ATTEMPTS = 1000
 class LakeStore:
     """A lake as writers see it; readers use ``breplake.open``.
 
-    Make one with `create`, `open` or `open_or_create`. In object storage (``s3://…``) or over
-    HTTP, its files cannot be described or queried in place: `breplake.queries.versions.mirror`
-    copies them. All else works there as in a local folder.
+    Make one with `create`, `open` or `open_or_create`. New files of a lake in object storage
+    (``s3://…``) are written and described in a local folder, its `desk`, and sent from there; the
+    same serves writers on several machines that share a lake's folder.
 
     Attributes
     ----------
@@ -64,10 +65,13 @@ class LakeStore:
         Random id, the same wherever the lake is moved or copied.
     log : VersionLog
         The documents of its history.
+    desk : Storage
+        Where new files are written before they are sent; the lake itself, if it is local.
     """
 
-    def __init__(self, storage: Storage, lake_id: str) -> None:
+    def __init__(self, storage: Storage, lake_id: str, desk: Storage | None = None) -> None:
         self.storage = storage
+        self.desk = desk or storage
         self.lake_id = lake_id
         self.log = VersionLog(storage)
         self._identities = IdentityIndex(storage)
@@ -83,8 +87,8 @@ class LakeStore:
 
         Parameters
         ----------
-        path : path
-            The folder.
+        path : path or str
+            The folder, or its URL in object storage.
         lake_id : str, optional
             Its id; a random one if not given.
 
@@ -93,23 +97,25 @@ class LakeStore:
         UsageError
             If there is a lake already, or the folder holds other files.
         """
-        root = Path(path)
-        if root.exists() and not root.is_dir():
-            raise UsageError(f"{root} is a file, a lake is a folder")
-        root.mkdir(parents=True, exist_ok=True)
+        root = local_folder(path)
+        if root is not None:
+            if root.exists() and not root.is_dir():
+                raise UsageError(f"{root} is a file, a lake is a folder")
+            root.mkdir(parents=True, exist_ok=True)
+        storage = Storage(path)
         # a kill while the marker is staged leaves "breplake.json#1", which is no obstacle
-        others = [p.name for p in root.iterdir() if not p.name.startswith(f"{MARKER}#")]
+        others = [n for n in storage.entries() if not n.startswith(f"{MARKER}#")]
         if others and MARKER not in others:
-            raise UsageError(f"{root} holds other files ({others[0]} ...): name a new folder")
+            raise UsageError(f"{path} holds other files ({others[0]} ...): name a new folder")
         document = {
             "format": "breplake",
             "format_version": FORMAT_VERSION,
             "lake_id": lake_id or uuid.uuid4().hex,
         }
         data = (json.dumps(document, indent=1, sort_keys=True) + "\n").encode()
-        if not Storage(root).create(MARKER, data):
-            raise UsageError(f"there is a lake in {root} already: open it instead")
-        return cls.open(root)
+        if not storage.create(MARKER, data):
+            raise UsageError(f"there is a lake in {path} already: open it instead")
+        return cls.open(path)
 
     @classmethod
     def open(cls, place: str | Path) -> LakeStore:
@@ -152,13 +158,22 @@ class LakeStore:
         try:
             return cls.create(path, lake_id)
         except UsageError:
-            if (Path(path) / MARKER).is_file():
+            if Storage(path).has(MARKER):
                 return cls.open(path)
             raise
 
+    def at_desk(self, folder: Path) -> LakeStore:
+        """Return this lake with another `desk`, a folder that is made."""
+        folder.mkdir(parents=True, exist_ok=True)
+        return LakeStore(self.storage, self.lake_id, Storage(folder))
+
     def lock(self, waiting: Callable[[], None] | None = None) -> AbstractContextManager[None]:
-        """Return a context that holds the writer's lock, as `writer_lock` does."""
-        return writer_lock(self.root, waiting)
+        """Return a context that holds the writer's lock, as `writer_lock` does.
+
+        In object storage there is none: writers there only hold that of their desk.
+        """
+        place = self.storage if self.storage.is_local else self.desk
+        return writer_lock(place.root, waiting)
 
     def table_path(self, table: str, shard: str) -> Path:
         """Return where the file of `table` in `shard` is to be written; make its folder.
@@ -177,7 +192,7 @@ class LakeStore:
         return self._new_path(f"arrays/{checked_name(shard, 'shard')}.zarr")
 
     def _new_path(self, relative: str) -> Path:
-        path = self.storage.path(relative)
+        path = self.desk.path(relative)
         if path.exists():
             raise UsageError(
                 f"{path} exists, and files of a lake are written once: name a new shard"
@@ -186,7 +201,7 @@ class LakeStore:
         return path
 
     def register(self, path: str | Path) -> FileEntry:
-        """Describe a finished file under the lake's root, ready for `commit`.
+        """Describe a finished file at the `desk`, ready for `send` and `commit`.
 
         Beside a folder of arrays, the list of its files and their hashes is written.
 
@@ -204,12 +219,34 @@ class LakeStore:
         FileNotFoundError
             If there is no such file.
         """
-        return describe(self.storage, self.storage.relative(Path(path)))
+        return describe(self.desk, self.desk.relative(Path(path)))
 
     def register_shard(self, shard: str) -> list[FileEntry]:
         """Describe all files of `shard` that are there, as `register` does for one."""
         paths = [f"tables/{table}/{shard}.parquet" for table in TABLES] + [f"arrays/{shard}.zarr"]
-        return [self.register(path) for path in paths if self.storage.path(path).exists()]
+        return [self.register(path) for path in paths if self.desk.path(path).exists()]
+
+    def send(self, files: Sequence[FileEntry]) -> bool:
+        """Bring the registered files of one shard from the `desk` to the lake.
+
+        Returns
+        -------
+        bool
+            False if another writer has put a shard of that name there: write it under a new one.
+        """
+        if self.desk is self.storage:
+            return True
+        if not claim(self.desk, self.storage, files):
+            return False
+        copy_files(self.desk, self.storage, files)
+        return True
+
+    def clear_desk(self) -> None:
+        """Remove what was written at the `desk`, unless that is the lake itself."""
+        if self.desk is not self.storage:
+            for folder in ("tables", "arrays"):
+                if self.desk.path(folder).exists():
+                    self.desk.remove(folder)
 
     def numbers(self) -> list[int]:
         """Return the numbers of all snapshots, ascending.

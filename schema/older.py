@@ -8,9 +8,9 @@ where it does not say so, readers look into the files.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -69,8 +69,17 @@ def is_older(have: pa.Field, want: pa.Field) -> bool:
     return bool(have.type.equals(want.type))
 
 
-def by_schema(paths: Iterable[str | Path]) -> list[tuple[pa.Schema, list[str]]]:
+def by_schema(
+    paths: Iterable[str | Path], opened: Callable[[str], Any] = str
+) -> list[tuple[pa.Schema, list[str]]]:
     """Group Parquet files by their columns, read from their footers.
+
+    Parameters
+    ----------
+    paths : iterable of str or Path
+        The files.
+    opened : callable, optional
+        Returns what pyarrow reads a file from, given its path.
 
     Returns
     -------
@@ -84,7 +93,7 @@ def by_schema(paths: Iterable[str | Path]) -> list[tuple[pa.Schema, list[str]]]:
     """
     groups: dict[Sequence[tuple[str, str]], tuple[pa.Schema, list[str]]] = {}
     for path in paths:
-        schema = pq.read_schema(path).remove_metadata()
+        schema = pq.read_schema(opened(str(path))).remove_metadata()
         key = tuple((field.name, str(field.type)) for field in schema)
         groups.setdefault(key, (schema, []))[1].append(str(path))
     return list(groups.values())

@@ -17,7 +17,7 @@ from breplake.schema.shard_writer import write_table
 from breplake.schema.snapshot import ARRAYS_TABLE, FileEntry
 from breplake.schema.tables import MODELS, TABLES
 
-__all__ = ["rewrite_shard"]
+__all__ = ["Chosen", "rewrite_shard"]
 
 _COUNTS: Final = {
     "vertex": "n_vertices",
@@ -29,6 +29,7 @@ _COUNTS: Final = {
 """Column of ``models`` that counts a model's rows along an axis of the arrays."""
 
 Chosen = Callable[[pa.ChunkedArray], pa.ChunkedArray]
+"""From ids of models to whether they are wanted."""
 
 
 def rewrite_shard(
@@ -45,7 +46,7 @@ def rewrite_shard(
     files : sequence of FileEntry
         The shard's files.
     target : LakeStore
-        The lake to write to, its writer's lock held.
+        The lake at whose desk it is written, its writer's lock held.
     name : str
         Name of the new shard.
     chosen : callable

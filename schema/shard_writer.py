@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import itertools
-import shutil
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from typing import Any
 
 import pyarrow as pa
@@ -17,23 +16,37 @@ from breplake.schema.tables import TABLES
 __all__ = ["fresh_name", "write_table"]
 
 
-def fresh_name(store: LakeStore, name: str) -> str:
+def fresh_name(store: LakeStore, name: str, taken: Collection[str] = ()) -> str:
     """Return `name`, or `name` with a number if a snapshot has files of that name already.
 
-    Files that no snapshot names are what an interrupted run left; they make room.
+    Files that no snapshot names are what an interrupted run left; at the desk they make room.
+
+    Parameters
+    ----------
+    store : LakeStore
+        The lake.
+    name : str
+        What the shard is to be called.
+    taken : collection of str
+        Names that `LakeStore.send` refused.
     """
     for number in itertools.count(1):
         candidate = name if number == 1 else f"{name}-{number}"
+        if candidate in taken:
+            continue
         paths = [f"tables/{table}/{candidate}.parquet" for table in TABLES]
         paths.append(f"arrays/{candidate}.zarr")
-        there = {path for path in paths if (store.root / path).exists()}
+        there = {path for path in paths if store.desk.path(path).exists()}
+        if store.desk is not store.storage:
+            # what is in the lake is not ours to remove: a writer elsewhere may be at it
+            claims = {f"tables/{table}/{candidate}.parquet" for table in ("models", "failures")}
+            there |= {path for path in claims if store.storage.has(path)}
         if not there:
             return candidate
         named = {f.path for n in store.numbers() for f in store.snapshot(n).files}
         if not there & named:
             for path in there:
-                target = store.root / path
-                shutil.rmtree(target) if target.is_dir() else target.unlink()
+                store.desk.remove(path)
             return candidate
     raise AssertionError("unreachable: count() does not end")
 

@@ -22,6 +22,7 @@ from obstore.exceptions import AlreadyExistsError, BaseError
 from obstore.store import HTTPStore, LocalStore, from_url
 
 from breplake.errors import LakeNotFoundError, UsageError
+from breplake.schema.ranges import Folder, LocalFolder, RangeReader, StoredFolder
 
 if TYPE_CHECKING:
     from obstore.store import ClientConfig
@@ -89,7 +90,7 @@ class Storage:
     """
 
     def __init__(self, place: str | Path) -> None:
-        self._place = str(place)
+        self._place = str(place).rstrip("/") or "/"
         self._local = local_folder(place)
         if self._local is None:
             try:
@@ -102,6 +103,29 @@ class Storage:
             self._local = self._local.resolve()
             self._store = LocalStore(self._local)
         self.can_list = not isinstance(self._store, HTTPStore)
+        _forks.note_use()
+
+    def __reduce__(self) -> tuple[type[Storage], tuple[str]]:
+        """Pickle the place alone: another process makes connections of its own."""
+        return type(self), (self.name,)
+
+    @property
+    def connection(self) -> Any:
+        """The store of obstore behind it.
+
+        Raises
+        ------
+        UsageError
+            If it is reached over a network and this process was forked from one that has opened
+            a storage: the threads that speak to the network are not there.
+        """
+        if self._local is None and _forks.is_broken:
+            raise UsageError(
+                f"{self.name} cannot be read in a forked process: start processes with "
+                "'forkserver' or 'spawn' (DataLoader(multiprocessing_context='forkserver')), or "
+                f"copy the lake to this machine with breplake pull {self.name}"
+            )
+        return self._store
 
     @property
     def is_local(self) -> bool:
@@ -138,14 +162,14 @@ class Storage:
             False if a document of that name was there before; it is left as it is.
         """
         try:
-            obstore.put(self._store, path, data, mode="create")
+            obstore.put(self.connection, path, data, mode="create")
         except AlreadyExistsError:
             return False
         return True
 
     def overwrite(self, path: str, data: bytes) -> None:
         """Write the document `path`, in place of one that is there."""
-        obstore.put(self._store, path, data, mode="overwrite")
+        obstore.put(self.connection, path, data, mode="overwrite")
 
     def read(self, path: str) -> bytes:
         """Return the document `path`.
@@ -155,12 +179,12 @@ class Storage:
         FileNotFoundError
             If there is none.
         """
-        return bytes(obstore.get(self._store, path).bytes())
+        return bytes(obstore.get(self.connection, path).bytes())
 
     def read_line(self, path: str) -> bytes:
         """Return the first line of the document `path`, without reading all of it."""
         line = b""
-        for block in obstore.get(self._store, path).stream(min_chunk_size=_BLOCK >> 6):
+        for block in obstore.get(self.connection, path).stream(min_chunk_size=_BLOCK >> 6):
             head, end, _ = bytes(block).partition(b"\n")
             line += head
             if end:
@@ -174,14 +198,22 @@ class Storage:
     def size(self, path: str) -> int | None:
         """Return the size of the file `path` in bytes, or None if there is none."""
         try:
-            return int(obstore.head(self._store, path)["size"])
+            return int(obstore.head(self.connection, path)["size"])
         except FileNotFoundError:
             return None
 
     def names(self, folder: str) -> list[str]:
         """Return the sorted names of the documents right in `folder`, staged ones left out."""
-        found = obstore.list_with_delimiter(self._store, folder)["objects"]
+        found = obstore.list_with_delimiter(self.connection, folder)["objects"]
         return sorted(PurePosixPath(item["path"]).name for item in found)
+
+    def entries(self) -> list[str]:
+        """Return the sorted names of the files and folders right in it."""
+        if self._local is not None:
+            return sorted(os.listdir(self._local))
+        found = obstore.list_with_delimiter(self.connection)
+        paths = [*found["common_prefixes"], *(item["path"] for item in found["objects"])]
+        return sorted(PurePosixPath(path).name for path in paths)
 
     def files(self, folder: str) -> Iterator[StoredFile]:
         """Yield all files below `folder`, also those that a killed writer left half-written."""
@@ -190,7 +222,7 @@ class Storage:
                 state = (self._local / folder / name).stat()
                 yield StoredFile(f"{folder}/{name}", state.st_size, state.st_mtime)
             return
-        for batch in obstore.list(self._store, folder):
+        for batch in obstore.list(self.connection, folder):
             for item in batch:
                 modified: datetime = item["last_modified"]
                 yield StoredFile(item["path"], item["size"], modified.timestamp())
@@ -206,7 +238,7 @@ class Storage:
     def remove(self, path: str) -> None:
         """Remove a file, or a folder with all that is in it; it may be gone already."""
         if self._local is None:
-            obstore.delete(self._store, [path, *(file.path for file in self.files(path))])
+            obstore.delete(self.connection, [path, *(file.path for file in self.files(path))])
             return
         target = self.path(path)
         if target.is_dir() and not target.is_symlink():
@@ -222,7 +254,7 @@ class Storage:
         FileNotFoundError
             If there is none.
         """
-        for block in obstore.get(self._store, path).stream(min_chunk_size=_BLOCK):
+        for block in obstore.get(self.connection, path).stream(min_chunk_size=_BLOCK):
             yield bytes(block)
 
     def hash(self, path: str) -> str:
@@ -244,9 +276,29 @@ class Storage:
         """Return the file `path` for random reads: its path where it is local, else its bytes."""
         return self.path(path) if self._local is not None else BytesIO(self.read(path))
 
+    def reader(self, path: str) -> Path | RangeReader:
+        """Return the file `path` to read parts of it: its path where it is local.
+
+        Raises
+        ------
+        FileNotFoundError
+            If there is none in an object storage.
+        """
+        return self.path(path) if self._local is not None else RangeReader(self, path)
+
+    def folder(self, path: str) -> Folder:
+        """Return the folder `path`, to read parts of its files."""
+        if self._local is not None:
+            return LocalFolder(self.path(path))
+        return StoredFolder(self, path)
+
+    def locate(self, path: str) -> str:
+        """Return the absolute path or the URL of the file `path`."""
+        return str(self.path(path)) if self._local is not None else f"{self._place}/{path}"
+
     def upload(self, source: Path, path: str) -> None:
         """Copy a local file to `path`; it appears there whole."""
-        obstore.put(self._store, path, source, mode="overwrite")
+        obstore.put(self.connection, path, source, mode="overwrite")
 
     def path(self, relative: str) -> Path:
         """Return the absolute path of `relative` in a local folder.
@@ -274,6 +326,24 @@ class Storage:
         if not absolute.is_relative_to(self.root):
             raise UsageError(f"{path} is not inside the lake {self.root}")
         return absolute.relative_to(self.root).as_posix()
+
+
+class _Forks:
+    """Whether this process was forked from one that had opened a storage."""
+
+    def __init__(self) -> None:
+        self.is_broken = False
+        self._used = False
+        os.register_at_fork(after_in_child=self._forked)
+
+    def note_use(self) -> None:
+        self._used = True
+
+    def _forked(self) -> None:
+        self.is_broken = self.is_broken or self._used
+
+
+_forks: Final = _Forks()
 
 
 def local_folder(place: str | Path) -> Path | None:

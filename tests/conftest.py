@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import uuid
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -241,6 +242,33 @@ def own_lake(tmp_path: Path) -> Path:
 def new_shard():
     """The function that writes a shard of boxes: ``new_shard(store, "s2", {"a": (1, 2, 3)})``."""
     return write_shard
+
+
+@pytest.fixture
+def bucket(monkeypatch: pytest.MonkeyPatch):
+    """URL of a folder in an S3 server of this process, whose credentials are in the environment.
+
+    A test that takes it is marked ``@pytest.mark.filterwarnings("ignore::DeprecationWarning")``:
+    botocore and moto give some.
+    """
+    server_of = pytest.importorskip("moto.server").ThreadedMotoServer
+    import boto3
+
+    server = server_of(ip_address="127.0.0.1", port=0)
+    server.start()
+    for name, value in {
+        "AWS_ACCESS_KEY_ID": "x",
+        "AWS_SECRET_ACCESS_KEY": "y",
+        "AWS_REGION": "us-east-1",
+        "AWS_DEFAULT_REGION": "us-east-1",
+        "AWS_ENDPOINT_URL": "http://{}:{}".format(*server.get_host_and_port()),
+        "AWS_ALLOW_HTTP": "true",
+    }.items():
+        monkeypatch.setenv(name, value)
+    name = uuid.uuid4().hex  # moto keeps its buckets from test to test
+    boto3.client("s3").create_bucket(Bucket=name)
+    yield f"s3://{name}/lakes/one"
+    server.stop()
 
 
 SAMPLES = (

@@ -9,7 +9,7 @@ from typing import Final
 
 from breplake.errors import RefusedSourceError, UsageError
 
-__all__ = ["Limits", "Meter", "hostile_link", "hostile_name"]
+__all__ = ["DEFAULT_LIMITS", "Limits", "Meter", "hostile_link", "hostile_name"]
 
 _HARMLESS: Final = 2**20
 """Bytes that any archive may unpack to, whatever its size."""
@@ -45,6 +45,10 @@ class Limits:
         """Check the expansion."""
         if not self.expansion >= 1:
             raise UsageError(f"an archive must be allowed to expand; got {self.expansion} times")
+
+
+DEFAULT_LIMITS: Final = Limits()
+"""What every archive may cost."""
 
 
 class Meter:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 from threading import RLock
 
@@ -15,7 +16,7 @@ from breplake.ingest.sources.abc_names import chunk_of, is_meta_chunk, meta_chun
 from breplake.ingest.sources.archives import archive_id, archive_inputs, check_metadata
 from breplake.ingest.sources.downloads import Downloads
 from breplake.ingest.sources.entry import archive_format
-from breplake.ingest.sources.facts import NO_FACTS
+from breplake.ingest.sources.facts import NO_FACTS, Facts
 from breplake.ingest.sources.fetch import Fetcher
 from breplake.ingest.sources.ledger import Ledger
 from breplake.ingest.sources.limits import Limits
@@ -30,7 +31,7 @@ from breplake.ingest.sources.onshape import (
 from breplake.ingest.sources.onshape_api import Keys, OnshapeApi, base_address
 from breplake.ingest.sources.onshape_parts import Onshape
 from breplake.ingest.sources.origin import MemberOrigin
-from breplake.ingest.sources.survey import Survey, survey
+from breplake.ingest.sources.survey import FACTS, Survey, survey
 from breplake.ingest.sources.waiting import Waiting
 from breplake.ingest.sources.web import Web
 
@@ -55,6 +56,8 @@ class Sources:
 
     Attributes
     ----------
+    limits : Limits
+        As given.
     whole : set of int
         Ids of the inputs that would stand for the archives and rows of lists that were found,
         could they not be used.
@@ -63,7 +66,7 @@ class Sources:
     def __init__(
         self, stack: ExitStack, limits: Limits, tell: Callable[[str], None], waiting: Waiting
     ) -> None:
-        self._stack, self._limits, self._tell, self._waiting = stack, limits, tell, waiting
+        self._stack, self.limits, self._tell, self._waiting = stack, limits, tell, waiting
         self._lock = RLock()
         self._ledger: Ledger | None = None
         self._downloads: Downloads | None = None
@@ -151,8 +154,16 @@ class Sources:
             yield None
             return
         ledger = self._opened_ledger()
-        with Fetcher(brought, folder, ledger, self._opened_downloads(), self._limits) as fetcher:
+        with Fetcher(brought, folder, ledger, self._opened_downloads(), self.limits) as fetcher:
             yield fetcher
+
+    def told(self, inputs: Iterable[Input]) -> Iterator[Input]:
+        """Yield `inputs` with all facts of them, of use where this machine's ledger is not."""
+        for item in inputs:
+            known = None
+            if isinstance(item.origin, MemberOrigin) and item.origin.facts:
+                known = self._opened_ledger().get(FACTS, item.origin.facts)
+            yield replace(item, facts=item.facts.over(Facts.of(known))) if known else item
 
     def _of_archives(self, paths: Sequence[Path], collection: str | None) -> Iterator[Input]:
         if not paths:
@@ -164,7 +175,7 @@ class Sources:
         every = list(dict.fromkeys([*paths, *(path for path in metadata.values() if path)]))
         surveys: dict[Path, Survey] = {}
         with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-            found = pool.map(lambda path: survey(path, ledger, self._limits, self._waiting), every)
+            found = pool.map(lambda path: survey(path, ledger, self.limits, self._waiting), every)
             for path, result in zip(every, found, strict=True):
                 surveys[path] = result
                 self._tell(f"{path}: {len(result.members)} CAD files")
@@ -208,9 +219,7 @@ class Sources:
         with self._lock:
             if self._downloads is None:
                 more = {PREFIX.rstrip(":"): again}
-                self._downloads = Downloads(
-                    self._opened_ledger(), self._limits, more, self._waiting
-                )
+                self._downloads = Downloads(self._opened_ledger(), self.limits, more, self._waiting)
                 self._stack.callback(self._downloads.close)
             return self._downloads
 
@@ -224,7 +233,7 @@ class Sources:
                     OnshapeApi(web, keys, base),
                     self._opened_ledger(),
                     self._opened_downloads(),
-                    self._limits,
+                    self.limits,
                     self._waiting.wait,
                 )
             return self._onshape

@@ -48,4 +48,6 @@ def _doubt(view: ModelView) -> Floats:
     curve = view.ints("coedges", "curve_id")
     strip = view.floats("curves", "length") * view.floats("curves", "tolerance")
     patch = view.ints("coedges", "patch_id")
-    return np.bincount(patch, np.nan_to_num(strip[curve]), view.count("patches"))
+    doubt = np.zeros(view.count("patches"))
+    np.add.at(doubt, patch, np.nan_to_num(strip[curve]))
+    return doubt

@@ -107,10 +107,13 @@ def diff(old: Lake, new: Lake) -> Diff:
     Raises
     ------
     UsageError
-        If a file cannot be read.
+        If a file cannot be read, or one of two lakes is not in a local folder.
     """
     import duckdb
 
+    if old.place != new.place:
+        assert old.root  # raises for a lake elsewhere: a session reads over the network
+        assert new.root  # from one lake only
     cursor = new.connection.cursor()
     try:
         return _diff(cursor, old, new)
@@ -155,7 +158,7 @@ def _own_files(lake: Lake, other: Lake, table: str) -> list[FileEntry]:
 
 def _relation(lake: Lake, other: Lake, table: str) -> str:
     """Return SQL of the rows that only `lake` may have; empty without any file."""
-    paths = [str(lake.root / entry.path) for entry in _own_files(lake, other, table)]
+    paths = [lake.sql_path(entry) for entry in _own_files(lake, other, table)]
     quoted = ", ".join("'" + path.replace("'", "''") + "'" for path in paths)
     return f"read_parquet([{quoted}], union_by_name=true)" if paths else ""
 

@@ -27,7 +27,7 @@ from breplake.errors import NameNotFoundError, UsageError
 from breplake.queries.session import Lake
 from breplake.queries.subset_files import SubsetFile
 from breplake.queries.subsets import load_subset, save_subset
-from breplake.queries.versions.mirror import copy_files
+from breplake.schema.copies import copy_files
 from breplake.schema.files import checked_name, compare
 from breplake.schema.identities import read_ids
 from breplake.schema.lake import LakeStore

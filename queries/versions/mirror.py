@@ -7,54 +7,20 @@ whoever reads the place sees all of it or nothing.
 
 from __future__ import annotations
 
-import hashlib
 import json
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, NamedTuple
 
-from breplake.errors import LakeFormatError, LakeNotFoundError, UsageError
-from breplake.schema.files import list_name
+from breplake.errors import LakeNotFoundError, UsageError
+from breplake.schema.copies import Copied, copy_files
 from breplake.schema.lake import MARKER, LakeStore
-from breplake.schema.snapshot import ARRAYS_TABLE, FileEntry, Snapshot
-from breplake.schema.storage import PART, Storage, file_hash, local_folder
+from breplake.schema.snapshot import Snapshot
+from breplake.schema.storage import Storage, local_folder
 from breplake.schema.subset import Subset, subset_names, subset_path
 from breplake.schema.versions import snapshot_path
 
-__all__ = ["Copied", "copy_files", "mirror"]
-
-_THREADS: Final = 8
-"""Files in flight: most of the time is spent waiting for a disk or a network."""
-
-_TRIES: Final = 3
-
-
-@dataclass(slots=True)
-class Copied:
-    """What a copy did.
-
-    Parameters
-    ----------
-    files, bytes : int
-        Files that were copied, and their size.
-    skipped : int
-        Files that were there already.
-    """
-
-    files: int = 0
-    bytes: int = 0
-    skipped: int = 0
-
-
-class _Member(NamedTuple):
-    """A file to copy: a table's, or one in a folder of arrays."""
-
-    path: str
-    sha256: str
+__all__ = ["mirror"]
 
 
 def mirror(
@@ -165,107 +131,3 @@ def _same_label(target: LakeStore, path: str, data: bytes) -> bool:
         return bool(json.loads(there) == json.loads(data))
     old, new = Subset.from_bytes(there, path), Subset.from_bytes(data, path)
     return (old.hash, old.snapshot) == (new.hash, new.snapshot)
-
-
-def copy_files(
-    source: Storage,
-    target: Storage,
-    files: Sequence[FileEntry],
-    progress: Callable[[int], None] | None = None,
-) -> Copied:
-    """Copy files of a snapshot; those that are there with the right hash are left.
-
-    Parameters
-    ----------
-    source, target : Storage
-        At least one of them local.
-    files : sequence of FileEntry
-        What to copy.
-    progress : callable, optional
-        As for `mirror`.
-
-    Raises
-    ------
-    LakeFormatError
-        If a file of the source is missing or damaged.
-    """
-    done, guard = Copied(), threading.Lock()
-    tell = progress or (lambda _: None)
-
-    def work(member: _Member) -> None:
-        size, copied = _copy(source, target, member)
-        with guard:
-            done.files += copied
-            done.skipped += not copied
-            done.bytes += size if copied else 0
-        tell(size)
-
-    with ThreadPoolExecutor(_THREADS) as pool:
-        running = [
-            pool.submit(work, member) for entry in files for member in _members(source, entry)
-        ]
-        try:
-            for future in running:
-                future.result()
-        except BaseException:
-            pool.shutdown(cancel_futures=True)
-            raise
-    return done
-
-
-def _members(source: Storage, entry: FileEntry) -> Iterator[_Member]:
-    """Yield the files of an entry, the list of a folder last."""
-    if entry.table != ARRAYS_TABLE:
-        yield _Member(entry.path, entry.sha256)
-        return
-    path = list_name(entry.path)
-    try:
-        lines = source.read(path)
-    except FileNotFoundError:
-        raise LakeFormatError(_damaged(source, path, "it is not there")) from None
-    if hashlib.sha256(lines).hexdigest() != entry.sha256:
-        raise LakeFormatError(_damaged(source, path, "it has another hash than the snapshot says"))
-    for line in lines.decode().splitlines():
-        digest, name = line.split("  ", 1)
-        yield _Member(f"{entry.path}/{name}", digest)
-    yield _Member(path, entry.sha256)
-
-
-def _copy(source: Storage, target: Storage, member: _Member) -> tuple[int, bool]:
-    """Copy a file unless it is there; return its size and whether it was copied."""
-    if target.is_local:
-        return _download(source, target.path(member.path), member)
-    local = source.path(member.path)
-    if not local.is_file() or file_hash(local) != member.sha256:
-        raise LakeFormatError(_damaged(source, member.path, "missing, or with another hash"))
-    size = local.stat().st_size
-    if target.size(member.path) == size:  # uploads appear whole or not at all
-        return size, False
-    target.upload(local, member.path)
-    return size, True
-
-
-def _download(source: Storage, path: Path, member: _Member) -> tuple[int, bool]:
-    if path.is_file() and file_hash(path) == member.sha256:
-        return path.stat().st_size, False
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(path.name + PART)
-    for _ in range(_TRIES):
-        digest = hashlib.sha256()
-        try:
-            with part.open("wb") as file:
-                for block in source.stream(member.path):
-                    digest.update(block)
-                    file.write(block)
-        except FileNotFoundError:
-            part.unlink(missing_ok=True)
-            raise LakeFormatError(_damaged(source, member.path, "it is not there")) from None
-        if digest.hexdigest() == member.sha256:
-            part.replace(path)
-            return path.stat().st_size, True
-    part.unlink()
-    raise LakeFormatError(_damaged(source, member.path, "its hash is not that of the snapshot"))
-
-
-def _damaged(source: Storage, path: str, why: str) -> str:
-    return f"{source.name}/{path}: {why}; run breplake verify there"

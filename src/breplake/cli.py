@@ -39,11 +39,18 @@ class _Commands(TyperGroup):
             return super().invoke(ctx)
         except BrokenPipeError:
             raise
-        except (BreplakeError, OSError) as error:
-            if ctx.params.get("debug"):
+        except Exception as error:
+            if ctx.params.get("debug") or not _is_expected(error):
                 raise
             typer.echo(f"breplake: {_one_line(str(error))}", err=True)
             raise typer.Exit(2) from error
+
+
+def _is_expected(error: Exception) -> bool:
+    """Return whether an error says what is wrong with the world, and not with breplake."""
+    networks = sys.modules.get("obstore.exceptions")  # loaded by whoever has spoken to one
+    unreached = (networks.BaseError,) if networks else ()
+    return isinstance(error, (BreplakeError, OSError, *unreached))
 
 
 def _one_line(message: str) -> str:

@@ -338,7 +338,7 @@ def test_graphs_without_torch_geometric(meshes, monkeypatch):
 
 
 def test_lakes_without_grids_say_so(meshes):
-    with pytest.raises(UsageError, match="4 of 4 models have no UV-grids, .* --uv-grid N"):
+    with pytest.raises(UsageError, match=r"4 of 4 models have no UV-grids, .* --uv-grid N"):
         GridDataset(meshes)
 
 

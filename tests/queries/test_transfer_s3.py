@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import uuid
 from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
 
@@ -12,38 +11,15 @@ from typer.testing import CliRunner
 import breplake
 from breplake.cli import app
 from breplake.errors import CommitConflictError, LakeNotFoundError, UsageError
-from breplake.queries.versions.mirror import copy_files, mirror
+from breplake.queries.versions.mirror import mirror
+from breplake.schema.copies import copy_files
 from breplake.schema.gc import Retention, collect
 from breplake.schema.lake import LakeStore
 from breplake.schema.snapshot import FileEntry
 
-ThreadedMotoServer = pytest.importorskip("moto.server").ThreadedMotoServer
-
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of botocore and moto
 
 META = {"message": "m", "tools": {}, "config_hash": "c"}
-
-
-@pytest.fixture
-def bucket(monkeypatch):
-    import boto3
-
-    server = ThreadedMotoServer(ip_address="127.0.0.1", port=0)
-    server.start()
-    url = "http://{}:{}".format(*server.get_host_and_port())
-    for name, value in {
-        "AWS_ACCESS_KEY_ID": "x",
-        "AWS_SECRET_ACCESS_KEY": "y",
-        "AWS_REGION": "us-east-1",
-        "AWS_DEFAULT_REGION": "us-east-1",
-        "AWS_ENDPOINT_URL": url,
-        "AWS_ALLOW_HTTP": "true",
-    }.items():
-        monkeypatch.setenv(name, value)
-    name = uuid.uuid4().hex  # moto keeps its buckets from test to test
-    boto3.client("s3").create_bucket(Bucket=name)
-    yield f"s3://{name}/lakes/one"
-    server.stop()
 
 
 def test_there_and_back(own_lake, bucket, tmp_path):

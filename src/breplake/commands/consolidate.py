@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -16,7 +15,7 @@ def consolidate(
     tables: Annotated[
         list[str] | None, typer.Argument(help="Names of tables.  [default: models]")
     ] = None,
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     at: AtOption = None,
 ) -> None:
     """Copy tables of a lake of many shards into one file each, which SQL then reads.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -20,7 +19,7 @@ __all__ = ["files", "info"]
 
 def files(
     table: Annotated[str, typer.Argument(help="Name of a table, or arrays.")],
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     at: AtOption = None,
 ) -> None:
     """Print the paths of a table's files at a snapshot, for other tools to read."""
@@ -31,7 +30,7 @@ def files(
 
 
 def info(
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     at: AtOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:

@@ -20,7 +20,7 @@ _NAMED = 4  # models that are named before "and N more"
 
 
 def duplicates(
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     at: AtOption = None,
     limit: Annotated[int, typer.Option(min=1, help="Groups to show.")] = 20,
     as_json: Annotated[bool, typer.Option("--json", help="Print all groups as JSON.")] = False,

@@ -20,7 +20,7 @@ def delta(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder to write to.", metavar="DIR")
     ],
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     at: AtOption = None,
 ) -> None:
     """Write Delta Lake tables, DIR/TABLE, that link to the lake's own Parquet files.
@@ -46,7 +46,7 @@ def croissant(
     url: Annotated[
         str | None, typer.Option(help="Where the lake is published, if not beside the file.")
     ] = None,
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     at: AtOption = None,
 ) -> None:
     """Describe a snapshot as a dataset in MLCommons Croissant (JSON-LD)."""
@@ -78,7 +78,7 @@ def abc(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Write models anew that are there already.")
     ] = False,
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     at: AtOption = None,
 ) -> None:
     """Write OBJ, features YAML and stats YAML of models, as the ABC dataset has them.

@@ -34,7 +34,7 @@ def ingest(
             metavar="SOURCE...",
         ),
     ] = None,
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     collection: Annotated[
         str | None,
         typer.Option(help="Collection of the models; the name of the source if not given."),
@@ -76,6 +76,21 @@ def ingest(
     log: Annotated[
         Path | None, typer.Option(help="Append a line of JSON for each event to this file.")
     ] = None,
+    engine: Annotated[
+        Literal["local", "ray"],
+        typer.Option(help="Work on this machine, or on a cluster that Ray runs."),
+    ] = "local",
+    address: Annotated[
+        str | None, typer.Option(help="Address of the Ray cluster; $RAY_ADDRESS if not given.")
+    ] = None,
+    work: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder for what is in the making; in the lake, or in the user's cache if that "
+            "is elsewhere or Ray is used.",
+            metavar="DIR",
+        ),
+    ] = None,
     status: Annotated[
         bool, typer.Option("--status", help="Say what ingests run on the lake, and end.")
     ] = False,
@@ -88,7 +103,7 @@ def ingest(
     that was stopped or killed is taken up by the same command.
     """
     if status:
-        _report_status(console(), lake)
+        _report_status(console(), lake, work)
         return
     if not sources:
         raise UsageError("nothing to ingest: give CAD files or folders as SOURCE")
@@ -113,6 +128,9 @@ def ingest(
             progress=bar.update,
             stop=stop,
             log=log,
+            engine=engine,
+            address=address,
+            work=work,
             limits=Limits(expansion=max_expansion),
             tell=bar.tell,
         )
@@ -150,14 +168,14 @@ def _stop_signals(errors: Console) -> Iterator[Callable[[], bool]]:
             signal.signal(number, handler)
 
 
-def _report_status(out: Console, lake: Path) -> None:
+def _report_status(out: Console, lake: str, work: Path | None) -> None:
     """Print the ingests that run on a lake, and what their workers do."""
     from rich.markup import escape
 
-    from breplake.ingest.workspace import running
+    from breplake.ingest.workspace import running, work_root
     from breplake.schema.lake import LakeStore
 
-    runs = running(LakeStore.open(lake).root)
+    runs = running(work_root(LakeStore.open(lake).storage, work))
     if not runs:
         out.print(f"no ingest runs on {escape(str(lake))}")
     for run in runs:
@@ -219,7 +237,7 @@ class _Bar:
         self.bar.update(self.task, total=len(plan.todo), completed=done, rate=rate, failed=failed)
 
 
-def _report(out: Console, summary: Summary, lake: Path) -> None:
+def _report(out: Console, summary: Summary, lake: str) -> None:
     """Print what became of the inputs, and where to look next."""
     from rich.markup import escape
 

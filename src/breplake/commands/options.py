@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -13,8 +12,10 @@ if TYPE_CHECKING:
 __all__ = ["AtOption", "LakeOption", "console", "shown", "sized"]
 
 LakeOption = Annotated[
-    Path,
-    typer.Option("--lake", "-l", envvar="BREPLAKE", help="The lake's folder.", metavar="LAKE"),
+    str,
+    typer.Option(
+        "--lake", "-l", envvar="BREPLAKE", help="The lake's folder or URL.", metavar="LAKE"
+    ),
 ]
 """``--lake``, else ``$BREPLAKE``, else ``lake`` in the current folder."""
 

@@ -14,9 +14,9 @@ __all__ = ["check", "show"]
 
 def check(
     place: Annotated[
-        Path | None, typer.Argument(help="The lake's folder, as --lake.", metavar="[LAKE]")
+        str | None, typer.Argument(help="The lake's folder, as --lake.", metavar="[LAKE]")
     ] = None,
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     at: AtOption = None,
     report: Annotated[
         Path | None,
@@ -57,7 +57,7 @@ def show(
         Path | None,
         typer.Option("--output", "-o", help="Picture to write; MODEL.png if not given."),
     ] = None,
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     at: AtOption = None,
 ) -> None:
     """Draw a model: patches coloured by type, sharp curves, a legend."""

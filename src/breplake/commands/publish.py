@@ -15,7 +15,7 @@ from breplake.errors import BreplakeError, UsageError
 
 if TYPE_CHECKING:
     from breplake.queries.versions.extract import Extracted, Selection
-    from breplake.queries.versions.mirror import Copied
+    from breplake.schema.copies import Copied
     from breplake.schema.lake import LakeStore
     from breplake.schema.snapshot import Snapshot
 
@@ -41,7 +41,7 @@ def publish(
     where: _WhereOption = None,
     subset: _SubsetOption = None,
     models: _ModelsOption = None,
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     at: AtOption = None,
 ) -> None:
     """Copy a snapshot to a place from which others pull or read it.
@@ -80,7 +80,7 @@ def pull(
     where: _WhereOption = None,
     subset: _SubsetOption = None,
     models: _ModelsOption = None,
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     at: AtOption = None,
 ) -> None:
     """Copy a snapshot from elsewhere to a local folder, checking every file's hash.
@@ -150,7 +150,9 @@ def _mirror(source: LakeStore, place: str | Path, snapshot: Snapshot, at: str | 
         )
 
 
-def _extract(source: LakeStore, place: Path, snapshot: Snapshot, selection: Selection) -> Extracted:
+def _extract(
+    source: LakeStore, place: str | Path, snapshot: Snapshot, selection: Selection
+) -> Extracted:
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -31,7 +30,7 @@ def query(
         str | None,
         typer.Option("--where", help="Only models for which this SQL condition on models holds."),
     ] = None,
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     at: AtOption = None,
     format_: FormatOption = None,
     output: OutputOption = None,

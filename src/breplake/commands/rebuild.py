@@ -58,7 +58,7 @@ def rebuild(
     memory: Annotated[
         float, typer.Option(help="With --compare: memory for a model, in GiB.", min=1)
     ] = 8.0,
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     at: AtOption = None,
 ) -> None:
     """Make the B-Rep of a model again from the lake's tables, without its CAD file.
@@ -74,7 +74,7 @@ def rebuild(
         models = _chosen(opened, model, where)
         results = _compare(opened, models, jobs or os.cpu_count() or 1, timeout, memory)
         if output is not None:
-            report = {"lake": str(opened.root), "snapshot": opened.snapshot.number}
+            report = {"lake": opened.place, "snapshot": opened.snapshot.number}
             rows = [result.row() for result in results]
             output.write_text(json.dumps(report | {"models": rows}, indent=1) + "\n")
         if not _report(console(), results):

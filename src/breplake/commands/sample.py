@@ -48,7 +48,7 @@ def sample(
         float | None,
         typer.Option(help="Also points along sharp curves, at most so many mm apart."),
     ] = None,
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     at: AtOption = None,
 ) -> None:
     """Sample points, uniform by area on the trimmed patches, with normals and curvatures.

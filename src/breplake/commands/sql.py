@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -22,7 +21,7 @@ __all__ = ["sql"]
 
 def sql(
     query: Annotated[str, typer.Argument(help="A reading statement, or - to read it from stdin.")],
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     at: AtOption = None,
     format_: FormatOption = None,
     output: OutputOption = None,

@@ -16,7 +16,7 @@ def stats(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder to write to.", metavar="DIR")
     ],
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     at: AtOption = None,
     where: Annotated[
         str | None,

@@ -48,7 +48,7 @@ def create(
     partial: Annotated[
         bool, typer.Option("--partial", help="With --from: leave out models that are not here.")
     ] = False,
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     at: AtOption = None,
 ) -> None:
     """Select models, split them by duplicate group, and store the answer for good."""
@@ -74,7 +74,7 @@ def create(
 
 
 @subset.command()
-def show(name: _NameArgument, lake: LakeOption = Path("lake")) -> None:
+def show(name: _NameArgument, lake: LakeOption = "lake") -> None:
     """Say how a subset came about and how many models its splits have."""
     from rich.table import Table
     from rich.text import Text
@@ -103,7 +103,7 @@ def show(name: _NameArgument, lake: LakeOption = Path("lake")) -> None:
 
 
 @subset.command("list")
-def list_(lake: LakeOption = Path("lake")) -> None:
+def list_(lake: LakeOption = "lake") -> None:
     """List the subsets of a lake."""
     from rich import box
     from rich.table import Table
@@ -125,7 +125,7 @@ def list_(lake: LakeOption = Path("lake")) -> None:
 def diff(
     first: Annotated[str, typer.Argument(help="Name of a subset.")],
     second: Annotated[str, typer.Argument(help="Name of another.")],
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
 ) -> None:
     """Print the models that only one of two subsets has, or that are in another split."""
     from breplake.queries.subsets import diff_subsets, load_subset
@@ -150,7 +150,7 @@ def export(
         Path | None,
         typer.Option("--output", "-o", help=".json or .csv; NAME.json if not given."),
     ] = None,
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
 ) -> None:
     """Write a subset as a file from which `subset create --from` makes it in another lake."""
     from breplake.queries.subset_files import export_subset
@@ -172,7 +172,7 @@ def pack(
     ] = "vertices",
     seed: Annotated[int, typer.Option("--seed", help="Another one draws other points.")] = 0,
     workers: Annotated[int, typer.Option("--workers", min=0, help="Processes that draw.")] = 0,
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
 ) -> None:
     """Draw a point cloud of each model, and store them raw for fast training."""
     from breplake.loaders import MeshDataset, write_pack
@@ -186,7 +186,7 @@ def pack(
     typer.echo(f"{output}: {len(made):,} clouds of {made.points:,} points{note}")
 
 
-def _load(lake: Path, name: str) -> tuple[Lake, Subset]:
+def _load(lake: str, name: str) -> tuple[Lake, Subset]:
     import breplake
     from breplake.queries.subsets import load_subset
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from datetime import timedelta
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -36,7 +35,7 @@ def _duration(text: str) -> timedelta:
 
 
 def snapshots(
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """List the snapshots of a lake, newest last."""
@@ -65,7 +64,7 @@ def snapshots(
 
 def tag(
     name: Annotated[str, typer.Argument(help="Letters, digits, '.', '_' and '-'.")],
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     at: AtOption = None,
 ) -> None:
     """Give a snapshot a name, for good; a snapshot with a name is kept by gc."""
@@ -80,7 +79,7 @@ def tag(
 def diff(
     old: Annotated[str, typer.Argument(help="Number or tag of a snapshot.")],
     new: Annotated[str | None, typer.Argument(help="Another; the newest if not given.")] = None,
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     as_json: Annotated[
         bool, typer.Option("--json", help="Print JSON, with the names of all models.")
     ] = False,
@@ -127,7 +126,7 @@ def _print_diff(result: Diff) -> None:
 
 
 def verify(
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     at: AtOption = None,
 ) -> None:
     """Compare size and SHA-256 of every file with the snapshot; exit with 1 if one differs.
@@ -164,7 +163,7 @@ def verify(
 
 
 def gc(
-    lake: LakeOption = Path("lake"),
+    lake: LakeOption = "lake",
     keep: Annotated[
         int | None, typer.Option(min=1, help="Keep the newest so many snapshots.")
     ] = None,
