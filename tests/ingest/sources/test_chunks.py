@@ -23,10 +23,12 @@ from typer.testing import CliRunner
 import breplake
 from breplake.cli import app
 from breplake.ingest import run as runs
+from breplake.ingest.cluster import ShardTask, run_shard
 from breplake.ingest.plan import Redo
 from breplake.ingest.run import ingest
 from breplake.ingest.samples import write_samples
 from breplake.ingest.settings import Settings
+from breplake.ingest.sources.resolve import Sources
 from breplake.schema.lake import LakeStore
 from breplake.schema.tables import TABLES
 
@@ -238,6 +240,7 @@ RUN = """
 import sys
 from breplake.ingest import run
 from breplake.ingest.settings import Settings
+from breplake.ingest.sources.resolve import Sources
 run.SHARD_MODELS = 2
 if __name__ == "__main__":
     run.ingest([sys.argv[1]], sys.argv[2], settings=Settings(max_edge=0.2, timeout=120), jobs=2)
@@ -267,3 +270,21 @@ def test_a_killed_run_of_an_archive_is_taken_up(tmp_path, samples, pack_7z, monk
     assert accounted(lake) == {f"{chunk}!/{name}": 1 for name in steps}
     assert not (lake / "work").exists()
     shutil.rmtree(tmp_path / "whole")
+
+
+def test_a_node_of_a_cluster_reads_the_archive_itself(tmp_path, samples, pack_7z, monkeypatch):
+    """Its cache is another: what the metadata say of the models comes with the task."""
+    chunk, _ = original_layout(tmp_path, samples[1::2], pack_7z)
+    store = LakeStore.open_or_create(tmp_path / "lake")
+    with Sources.open() as opened:
+        inputs = tuple(opened.told(opened.find([chunk])))
+    monkeypatch.setenv("BREPLAKE_CACHE", str(tmp_path / "cache of the node"))
+    task = ShardTask(
+        str(tmp_path / "lake"), store.lake_id, os.getcwd(), inputs, COARSE, 2, work=str(tmp_path)
+    )
+    done = run_shard(task)
+    assert (done.tally.n_models, done.tally.n_fatal) == (2, 0)
+    store.commit(done.files, message="m", tools={}, config_hash=COARSE.config_hash)
+    query = "SELECT name, owner FROM models ORDER BY name"
+    rows = breplake.open(tmp_path / "lake").sql(query).fetchall()
+    assert rows == [(f"{key(50)}_000", "Owner 50"), (f"{key(51)}_000", None)]
