@@ -117,8 +117,8 @@ def survey(path: Path, ledger: Ledger, limits: Limits, waiting: Waiting) -> Surv
         Asked often whether to go on.
     """
     try:
-        before = _state(path)
         with path.open("rb") as file:
+            before = _state(path)
             digest = hashlib.file_digest(file, "sha256").hexdigest()
     except OSError as error:
         return Survey(None, damage=("unreadable", error.strerror or str(error)))
@@ -151,8 +151,11 @@ def _refused(found: Survey, error: RefusedSourceError) -> Survey:
 
 
 def _state(path: Path) -> tuple[int, int]:
-    """Return what changes when a file is written."""
-    status = path.stat()
+    """Return what changes when a file is written; zeros once it is gone."""
+    try:
+        status = path.stat()
+    except FileNotFoundError:
+        return 0, 0
     return status.st_size, status.st_mtime_ns
 
 

@@ -33,6 +33,7 @@ from typing import Any, BinaryIO, Final, TextIO
 
 from breplake.errors import MissingExtraError, RefusedSourceError
 from breplake.ingest.inputs import cad_format
+from breplake.ingest.orphans import die_with_parent
 from breplake.ingest.sources.abc_names import abc_facts, metadata_key
 from breplake.ingest.sources.entry import Damage, Entry, Taker, archive_format
 from breplake.ingest.sources.facts import Facts
@@ -86,6 +87,7 @@ class Request:
 
 def main() -> None:
     """Answer the request on the standard input."""
+    die_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C goes to all; the asking process decides
     resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

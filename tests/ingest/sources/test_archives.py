@@ -22,8 +22,10 @@ import pytest
 pytest.importorskip("py7zr")
 
 from breplake.errors import InputError, UsageError
+from breplake.ingest.printable import printable
 from breplake.ingest.sources import reader
 from breplake.ingest.sources import survey as surveys
+from breplake.ingest.sources.facts import Facts
 from breplake.ingest.sources.feed import ArchiveFeed
 from breplake.ingest.sources.limits import Limits, hostile_link, hostile_name
 from breplake.ingest.sources.resolve import Sources
@@ -112,6 +114,32 @@ def test_members_come_as_files(tmp_path, ending, pack):
                 assert got.path.suffix == (".gz" if packed else f".{item.format}")
                 got.path.unlink()
     assert not (tmp_path / "ahead").exists()
+
+
+def test_names_that_are_no_text(tmp_path):
+    path = tmp_path / "a.tar"
+    with tarfile.open(path, "w", format=tarfile.GNU_FORMAT) as archive:
+        for name in ("caf\udce9.step", "good.step"):
+            info = tarfile.TarInfo(name)
+            info.size = 1
+            archive.addfile(info, io.BytesIO(b"x"))
+    found = find(path)
+    assert [item.name for item in found] == [r"caf\xe9", "good"]
+    assert kinds(found) == {}
+    target = tmp_path / "target"
+    target.mkdir()
+    with Sources.open() as sources, sources.fetcher(found, tmp_path / "ahead") as fetcher:
+        assert fetcher.take(found[0], target).result(60).path.read_bytes() == b"x"
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [("plain ü", "plain ü"), ("\udcff", r"\xff"), ("half \ud83d of one", r"half \ud83d of one")],
+)
+def test_text_that_columns_cannot_hold_is_spelled_out(text, shown):
+    assert printable(text) == shown
+    facts = Facts(owner=text, metadata=((text, text),)).columns()
+    assert (facts["owner"], facts["metadata"]) == (shown, [(shown, shown)])
 
 
 def test_archives_in_folders_stay_closed(tmp_path, pack):

@@ -102,7 +102,14 @@ def test_an_archive_gives_the_same_rows_as_its_files(tmp_path, parts, pack):
         (folder / f"{name}.step").write_bytes(data)
     archive = pack(tmp_path / "box.tar.gz", {f"{name}.step": data for name, data in parts.items()})
     run(tmp_path / "one", folder)
-    run(tmp_path / "two", archive)
+    brought = []
+
+    def look(_plan, summary):
+        if summary.n_done == len(parts):  # not committed yet
+            brought.extend((tmp_path / "two").rglob("source.*"))
+
+    run(tmp_path / "two", archive, progress=look)
+    assert brought == [], "a model's own file is gone as soon as it is finished"
     for table in ("parts", "patches", "curves", "vertices", "faces"):
         one, two = (breplake.open(tmp_path / lake).scan(table).collect() for lake in ("one", "two"))
         assert one.height > 0
