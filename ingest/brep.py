@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -18,19 +18,15 @@ from breplake.ingest.failure import advise
 from breplake.ingest.geometry import Row, curve_row, surface_row, untrimmed
 from breplake.ingest.load import Label
 from breplake.ingest.lossless.graph import PcurveUse, ShapeGraph
+from breplake.ingest.mass import body_mass, faces_mass, patch_ids, surface_mass
 from breplake.ingest.sharpness import Crease, Dihedral, classify, measure
 from breplake.schema.tables import PATCHES
 
-__all__ = ["INFINITE", "INTEGRAL", "Brep", "Coedge", "extract"]
+__all__ = ["INFINITE", "Brep", "Coedge", "extract"]
 
 INFINITE: Final = 1e50
 """Parameters beyond this are OCCT's way of saying infinite (``Precision::Infinite``)."""
 
-
-INTEGRAL: Final = 1e-9
-"""Relative error asked of areas and volumes. OCCT's default quadrature has none to ask for: it
-is wrong by up to 0.4 % in area and 4 % in volume on spline patches. A coarser error than this
-makes the adaptive quadrature stop by accident, off by half a percent."""
 
 NO_AREA: Final = 1e-10
 """A patch of less area than this share of the squared diagonal is a fault of the file."""
@@ -99,6 +95,19 @@ class Brep:
         points += [[corner["point"][a] for a in "xyz"] for corner in self.corners]
         return np.min(points, axis=0), np.max(points, axis=0)
 
+    def set_areas(self, areas: Mapping[int, float]) -> None:
+        """Put areas, mm^2 by patch id, in place of those that Open CASCADE measured."""
+        for i, part in enumerate(self.canonical.parts):
+            for patch_id in patch_ids(self.canonical, part):
+                if patch_id in areas:
+                    self.parts[i]["area"] += areas[patch_id] - self.patches[patch_id]["area"]
+        for patch_id, area in areas.items():
+            self.patches[patch_id]["area"] = area
+        at = self.patch_table.column_names.index("area")
+        column = pa.array([row["area"] for row in self.patches], pa.float64())
+        field = self.patch_table.schema.field(at)
+        self.patch_table = self.patch_table.set_column(at, field, column)
+
     def require_no_area(self, patch: Row) -> None:
         """Accept that a patch has no triangles because it has no area.
 
@@ -142,7 +151,7 @@ def extract(canonical: Canonical, labels: Sequence[Label]) -> Brep:
     coedges = [use for i, face in enumerate(faces) for use in _coedges(canonical, graph, i, face)]
     ranges = [_parameter_range(i, face) for i, face in enumerate(faces)]
     geometry = [surface_row(surface) for surface in surfaces]
-    masses = [_surface_mass(face, row) for face, row in zip(faces, geometry, strict=True)]
+    masses = [surface_mass(face, row) for face, row in zip(faces, geometry, strict=True)]
     patches = [
         _patch_row(i, face, part_of[i])
         | ranges[i]
@@ -153,7 +162,7 @@ def extract(canonical: Canonical, labels: Sequence[Label]) -> Brep:
         for i, face in enumerate(faces)
     ]
     parts = [
-        _part_row(i, part, _faces_mass(canonical, part, masses))
+        _part_row(i, part, faces_mass(canonical, part, masses))
         | names["part", i]
         | {"shape": graph.number(part.shape)}
         for i, part in enumerate(canonical.parts)
@@ -236,12 +245,9 @@ def _names(canonical: Canonical, labels: Sequence[Label]) -> dict[tuple[str, int
 
 
 def _part_of_patch(canonical: Canonical, n_patches: int) -> list[int]:
-    from OCP.TopAbs import TopAbs_ShapeEnum
-
     owner = [-1] * n_patches
     for part_id, part in enumerate(canonical.parts):
-        for face in explore(part.shape, TopAbs_ShapeEnum.TopAbs_FACE):
-            patch_id = canonical.faces.FindIndex(face) - 1
+        for patch_id in patch_ids(canonical, part):
             if owner[patch_id] < 0:
                 owner[patch_id] = part_id
     return owner
@@ -265,20 +271,9 @@ def _bounds(shape: Any) -> Row:
     raise InputError("unbounded", advise("unbounded", "a part has no finite bounding box"))
 
 
-def _faces_mass(canonical: Canonical, part: PartShape, masses: Sequence[Any]) -> Any:
-    """Return a part's surface as ``GProp_GProps``: the sum of those of its patches."""
-    from OCP.GProp import GProp_GProps
-    from OCP.TopAbs import TopAbs_ShapeEnum
-
-    total = GProp_GProps()
-    for face in explore(part.shape, TopAbs_ShapeEnum.TopAbs_FACE):
-        total.Add(masses[canonical.faces.FindIndex(face) - 1])
-    return total
-
-
 def _part_row(part_id: int, part: PartShape, surface: Any) -> Row:
     """Return a part's row; one of no volume has its surface's centre of mass."""
-    body = _body_mass(part)
+    body = body_mass(part)
     centre = (body if body is not None and body.Mass() else surface).CentreOfMass()
     return {
         "part_id": part_id,
@@ -289,19 +284,6 @@ def _part_row(part_id: int, part: PartShape, surface: Any) -> Row:
         "centroid": _xyz(centre),
         **_bounds(part.shape),
     }
-
-
-def _body_mass(part: PartShape) -> Any | None:
-    """Return a solid's ``GProp_GProps``, None of what is no solid."""
-    from OCP.BRepGProp import BRepGProp
-    from OCP.GProp import GProp_GProps
-
-    if part.kind != "solid":
-        return None
-    properties = GProp_GProps()
-    with KERNEL():
-        BRepGProp.VolumeProperties_s(part.shape, properties, INTEGRAL)
-    return properties
 
 
 def _is_closed(shape: Any) -> bool:
@@ -351,26 +333,6 @@ def _patch_row(patch_id: int, face: Any, part_id: int) -> Row:
         "n_loops": sum(1 for _ in explore(face, TopAbs_ShapeEnum.TopAbs_WIRE)),
         "tolerance": max(tolerances),
     }
-
-
-def _surface_mass(face: Any, geometry: Row) -> Any:
-    """Return a face's ``GProp_GProps``: its area, mm^2, and centre of mass.
-
-    OCCT has two quadratures, and each fails where the other is good: the fixed one on
-    splines and trimmed quadrics, the adaptive one on full turns of a swept conic, where it
-    stops by symmetry.
-    """
-    from OCP.BRepGProp import BRepGProp
-    from OCP.GProp import GProp_GProps
-
-    swept = geometry["type"] in ("Revolution", "Extrusion")
-    properties = GProp_GProps()
-    with KERNEL():
-        if swept and geometry["curve"]["type"] not in ("BSpline", "Other"):
-            BRepGProp.SurfaceProperties_s(face, properties)
-        else:
-            BRepGProp.SurfaceProperties_s(face, properties, INTEGRAL)
-    return properties
 
 
 def _coedges(canonical: Canonical, graph: ShapeGraph, patch_id: int, face: Any) -> list[Coedge]:

@@ -21,6 +21,8 @@ from breplake.ingest.inputs import Input
 from breplake.ingest.journal import Entry, entry_of
 from breplake.ingest.settings import Settings
 from breplake.ingest.shard import write_shard
+from breplake.ingest.sources.limits import DEFAULT_LIMITS, Limits
+from breplake.ingest.sources.resolve import Sources
 from breplake.ingest.tally import Tally
 from breplake.ingest.workspace import Workspace, finished_first, work_root
 from breplake.schema.lake import LakeStore
@@ -51,6 +53,8 @@ class ShardTask:
         What to do to each model.
     jobs : int
         Number of worker processes.
+    limits : Limits
+        How far archives are trusted.
     work : str, optional
         Folder for what is in the making.
     """
@@ -61,6 +65,7 @@ class ShardTask:
     inputs: tuple[Input, ...]
     settings: Settings
     jobs: int
+    limits: Limits = DEFAULT_LIMITS
     work: str | None = None
 
 
@@ -97,9 +102,9 @@ def run_shard(task: ShardTask) -> ShardDone:
     store = _lake(task)
     root = work_root(store.storage, Path(task.work) if task.work else None, here=True)
     tally, events = Tally(), []
-    with Workspace.open(root, task.settings) as workspace:
+    with Workspace.open(root, task.settings) as workspace, Sources.open(task.limits) as sources:
         results = []
-        for result in finished_first(workspace, task.inputs, task.settings, task.jobs):
+        for result in finished_first(workspace, task.inputs, task.settings, task.jobs, sources):
             tally.add(result)
             events.append(entry_of(result))
             results.append(result)
@@ -137,6 +142,7 @@ def run_shards(
     store: LakeStore,
     groups: Sequence[Sequence[Input]],
     settings: Settings,
+    sources: Sources,
     address: str | None,
     jobs: int | None,
     stop: Callable[[], bool],
@@ -152,6 +158,8 @@ def run_shards(
         What belongs to each shard, in order.
     settings : Settings
         What to do to each model.
+    sources : Sources
+        Where the inputs were found.
     address : str, optional
         Of the cluster, as ``ray.init`` takes it. A cluster that this process is connected to is
         used as it is.
@@ -191,9 +199,10 @@ def run_shards(
                 lake=store.storage.name,
                 lake_id=store.lake_id,
                 folder=os.getcwd(),
-                inputs=tuple(group),
+                inputs=tuple(sources.told(group)),
                 settings=settings,
                 jobs=jobs,
+                limits=sources.limits,
                 work=None if work is None else str(work.absolute()),
             )
             for group in groups

@@ -7,7 +7,7 @@ from typing import Final
 
 __all__ = ["KILLED", "KINDS", "STAGES", "Failure", "advise"]
 
-STAGES: Final = ("plan", "read", "load", "brep", "import", "mesh", "truth", "write")
+STAGES: Final = ("plan", "fetch", "read", "load", "brep", "import", "mesh", "truth", "write")
 """Stages of a model's way into the lake, in order."""
 
 KINDS: Final[dict[str, str]] = {
@@ -15,6 +15,13 @@ KINDS: Final[dict[str, str]] = {
     "not-a-file": "a CAD file is expected here; ingest goes into folders only when given as SOURCE",
     "unreadable": "the file cannot be opened; check its permissions and the disk",
     "bad-archive": "the compressed file cannot be unpacked; compress it again",
+    "refused": "it is not safe, so nothing of it is read",
+    "encrypted": "it needs a password; pack it again without one",
+    "too-large": "no CAD file is that large; check what it is",
+    "bad-row": "the row of the list cannot be used; correct it",
+    "download-failed": "its bytes could not be fetched; try again later with --retry-failures",
+    "translation-failed": "Onshape could not write the part as STEP; open it there to see why",
+    "hash-mismatch": "its bytes are not those that were announced; check the source",
     "read-failed": "Open CASCADE cannot parse the file; check that it is complete",
     "translate-failed": "the file was parsed but its shapes could not be built; export it again",
     "no-shape": "the file holds no shape at all; export the part and not only its metadata",

@@ -6,15 +6,25 @@ import hashlib
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Final
 
 from breplake.errors import UsageError
 from breplake.ingest.failure import Failure, advise
+from breplake.ingest.printable import printable
+from breplake.ingest.sources.facts import NO_FACTS, Facts
+from breplake.ingest.sources.origin import Origin
 from breplake.schema.abc import ABC_FORMAT, AbcName, parse_name
 from breplake.schema.identity import model_id
 
-__all__ = ["FORMATS", "Input", "find_inputs", "printable"]
+__all__ = [
+    "FORMATS",
+    "Input",
+    "cad_format",
+    "find_inputs",
+    "model_name",
+    "read_input",
+]
 
 FORMATS: Final[dict[str, str]] = {
     ".step": "step",
@@ -56,6 +66,12 @@ class Input:
         Why it cannot even be tried.
     beside : tuple of (str, Path)
         Kind and path of ABC's files beside `path`.
+    shown : str
+        What the lake says of where it is; `path` by default.
+    origin : Origin, optional
+        Where its bytes are, if they are in no file yet; `path` then is of no use.
+    facts : Facts
+        What its source says of it.
     """
 
     path: Path
@@ -66,11 +82,15 @@ class Input:
     sha256: str | None = None
     failure: Failure | None = None
     beside: tuple[tuple[str, Path], ...] = ()
+    shown: str = ""
+    origin: Origin | None = None
+    facts: Facts = NO_FACTS
     model_id: int = field(init=False)
 
     def __post_init__(self) -> None:
         """Derive the id, and name what cannot be in UTF-8 columns."""
         object.__setattr__(self, "model_id", model_id(self.collection, self.name))
+        object.__setattr__(self, "shown", self.shown or printable(self.path))
 
     @property
     def companions(self) -> dict[str, Path]:
@@ -136,9 +156,9 @@ def _sort_in(
         If it is none of a model, or another file is in its place.
     """
     abc = _abc_file(path)
-    if _format(path) is not None:
+    if cad_format(path.name) is not None:
         # a.step beside a.stp: the extension is what tells them apart
-        kind, names = _CAD, (_stem(relative), relative.as_posix())
+        kind, names = _CAD, (model_name(relative), relative.as_posix())
     elif abc is not None:
         kind, names = abc.kind, (abc.model, (relative.parent / abc.model).as_posix())
     else:
@@ -174,13 +194,13 @@ def _walk(folder: Path, closed: Callable[[OSError], None]) -> Iterator[Path]:
         folders.sort()
         for name in sorted([*files, *folders]):
             path = Path(directory) / name
-            if _format(path) is not None or _abc_file(path) is not None:
+            if cad_format(path.name) is not None or _abc_file(path) is not None:
                 yield path
 
 
-def _format(path: Path) -> str | None:
-    name = path.name.lower().removesuffix(".gz")
-    return FORMATS.get(os.path.splitext(name)[1])
+def cad_format(name: str) -> str | None:
+    """Return the format of a CAD file by its name; None for other files."""
+    return FORMATS.get(os.path.splitext(name.lower().removesuffix(".gz"))[1])
 
 
 def _abc_file(path: Path) -> AbcName | None:
@@ -189,8 +209,11 @@ def _abc_file(path: Path) -> AbcName | None:
     return None if name is None or name.kind == "step" else name
 
 
-def _stem(relative: Path) -> str:
-    """Return a model's name. ABC's files of one model differ but in their kind, left out here."""
+def model_name(relative: PurePath) -> str:
+    """Return the name of the model in a CAD file, given its path below the source.
+
+    ABC's files of one model differ but in their kind, which is left out here.
+    """
     name = relative.name
     if name.lower().endswith(".gz"):
         name = name[:-3]
@@ -198,6 +221,14 @@ def _stem(relative: Path) -> str:
     if abc is not None and abc.kind == "step":
         return abc.model
     return (relative.parent / os.path.splitext(name)[0]).as_posix()
+
+
+def read_input(path: Path, collection: str, name: str) -> Input:
+    """Return the model of one CAD file, read once for its size and hash."""
+    item = _input({_CAD: path}, collection, name)
+    if item is None:
+        raise AssertionError("a CAD file is enough for a model")
+    return item
 
 
 def _input(files: Mapping[str, Path], collection: str, name: str) -> Input | None:
@@ -209,7 +240,7 @@ def _input(files: Mapping[str, Path], collection: str, name: str) -> Input | Non
     kind, path = next(iter(ordered.items()))
     if kind not in (_CAD, "features", "trimesh"):
         return None
-    format = _format(path) or ABC_FORMAT
+    format = cad_format(path.name) or ABC_FORMAT
     beside = tuple(ordered.items())[1:]
     failure, size, digest = None, 0, hashlib.sha256()
     for each in ordered.values():
@@ -250,8 +281,3 @@ def _add(path: Path, digest: hashlib._Hash) -> Failure | None:
         detail = error.strerror or type(error).__name__
         return Failure("plan", "unreadable", advise("unreadable", detail), fatal=True)
     return None if size else Failure("plan", "empty-file", advise("empty-file", ""), fatal=True)
-
-
-def printable(path: Path | str) -> str:
-    """Return a path as text that UTF-8 columns can hold."""
-    return str(path).encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -27,7 +27,7 @@ class Redo:
     changed : bool
         Those whose bytes or settings differ.
     failed : bool
-        Those that failed, or that have no mesh.
+        Those that failed, whether their bytes are the same or not, and those that have no mesh.
     kinds : tuple of str
         Of the failed, only those with a failure of one of these kinds; empty for all.
 
@@ -57,7 +57,7 @@ class Plan:
     Parameters
     ----------
     inputs : list of Input
-        All inputs, sorted by collection and name.
+        All inputs, sorted by collection and name; members of an archive in its order.
     new : list of Input
         Not in the lake.
     unchanged : list of Input
@@ -70,6 +70,9 @@ class Plan:
         To be ingested: the new ones and those to do again.
     redone : frozenset of int
         Model ids of `todo` that the lake has already.
+    settled : frozenset of int
+        Ids of failures in the lake that hold no more: of archives that can be read now, and of
+        rows of lists that can be used.
     """
 
     inputs: list[Input]
@@ -79,45 +82,84 @@ class Plan:
     failed: list[Input] = field(default_factory=list)
     todo: list[Input] = field(default_factory=list)
     redone: frozenset[int] = frozenset()
+    settled: frozenset[int] = frozenset()
 
 
 def plan(
-    store: LakeStore, inputs: Sequence[Input], settings: Settings, redo: Redo | None = None
+    store: LakeStore,
+    inputs: Sequence[Input],
+    settings: Settings,
+    redo: Redo | None = None,
+    whole: Collection[int] = (),
 ) -> Plan:
-    """Compare `inputs` with what the lake's newest snapshot holds."""
+    """Compare `inputs` with what the lake's newest snapshot holds.
+
+    Parameters
+    ----------
+    store : LakeStore
+        The lake.
+    inputs : sequence of Input
+        What was found in the sources.
+    settings : Settings
+        What is done to each model.
+    redo : Redo, optional
+        What of the lake's content is ingested again; by default nothing.
+    whole : collection of int
+        Ids that would stand for archives and rows of lists that are in order, if they were not.
+    """
     redo = redo or Redo()
     new: list[Input] = []
     unchanged: list[Input] = []
     changed: list[Input] = []
     failed: list[Input] = []
     again: set[int] = set()
-    for item, (is_known, is_same, is_complete, kinds) in zip(
+    for item, (is_known, is_same, is_complete, only_failed, kinds) in zip(
         inputs, _states(store, inputs, settings.config_hash), strict=True
     ):
+        retried = redo.failed and (not redo.kinds or bool(set(redo.kinds) & set(kinds or ())))
         if not is_known:
             new.append(item)
         elif not is_same:
             changed.append(item)
-            if redo.changed:
+            # Of what only failed before there is nothing to lose: a file that was repaired since,
+            # or a download that comes now.
+            if redo.changed or (retried and only_failed):
                 again.add(item.model_id)
         else:
             unchanged.append(item)
             if not is_complete:
                 failed.append(item)
-                if redo.failed and (not redo.kinds or set(redo.kinds) & set(kinds or ())):
+                if retried:
                     again.add(item.model_id)
     fresh = {item.model_id for item in new}
     todo = [item for item in inputs if item.model_id in fresh or item.model_id in again]
-    return Plan(list(inputs), new, unchanged, changed, failed, todo, frozenset(again))
+    return Plan(
+        list(inputs),
+        new,
+        unchanged,
+        changed,
+        failed,
+        todo,
+        frozenset(again),
+        _failed_before(store, whole),
+    )
+
+
+def _failed_before(store: LakeStore, ids: Collection[int]) -> frozenset[int]:
+    """Return those of `ids` that the newest snapshot has as failures."""
+    if not ids:
+        return frozenset()
+    found = _scan(store, "failures", "kind").select("model_id").unique().collect()
+    return frozenset(found["model_id"].to_list()) & frozenset(ids)
 
 
 def _states(
     store: LakeStore, inputs: Sequence[Input], config_hash: str
-) -> Iterable[tuple[bool, bool, bool, list[str] | None]]:
+) -> Iterable[tuple[bool, bool, bool, bool, list[str] | None]]:
     """Return what the newest snapshot knows of each input, in their order.
 
-    Whether it has the input, of the same bytes and settings, with a mesh, and the kinds of its
-    failures. By columns: a lake may hold a million models.
+    Whether it has the input, of the same bytes and settings, with a mesh, whether as a failure
+    only, and the kinds of its failures. By columns: a lake may hold a million models.
     """
     import polars as pl
 
@@ -146,6 +188,7 @@ def _states(
             .otherwise(pl.col("sha256").eq_missing(pl.col("asked")))
         ).alias("is_same"),
         pl.col("mesh_kind").is_not_null(),
+        pl.col("config_hash").is_null().alias("only_failed"),
         pl.col("kind"),
     )
     return state.collect().iter_rows()

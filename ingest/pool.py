@@ -17,11 +17,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from breplake.errors import KernelUnavailableError, MissingExtraError
+from breplake.errors import InputError, KernelUnavailableError, MissingExtraError
 from breplake.ingest.failure import Failure, advise
 from breplake.ingest.inputs import Input
 from breplake.ingest.orphans import die_with_parent
 from breplake.ingest.settings import RUNGS, Settings
+from breplake.ingest.sources.fetch import Fetcher
 from breplake.ingest.spool import HANG_EXIT, Spool
 
 __all__ = ["Result", "discard", "isolated_pool", "kernels_unavailable", "run_models"]
@@ -66,6 +67,7 @@ def run_models(
     jobs: int,
     spools: Callable[[Input], Spool],
     stop: Callable[[], bool] = lambda: False,
+    fetcher: Fetcher | None = None,
 ) -> Iterator[Result]:
     """Ingest every input in an isolated process and yield the results as they come.
 
@@ -85,6 +87,8 @@ def run_models(
         Gives the spool of an input, whose folder does not exist; it is the caller's to delete.
     stop : callable
         Asked about twice a second; once it returns True the models in work are given up.
+    fetcher : Fetcher, optional
+        Brings the bytes of the inputs that are in no file yet.
 
     Raises
     ------
@@ -93,30 +97,59 @@ def run_models(
     """
     waiting = list(reversed(inputs))
     running: dict[Any, Result] = {}
+    fetching: dict[concurrent.futures.Future[Input], Result] = {}
     pool = isolated_pool(jobs, settings.memory, "breplake ingest")
     try:
-        while (waiting or running) and not stop():
-            while waiting and len(running) < jobs * _AHEAD:
+        while (waiting or running or fetching) and not stop():
+            while waiting and len(running) + len(fetching) < jobs * _AHEAD:
                 item = waiting.pop()
                 result = Result(item, spools(item), [item.failure] if item.failure else [])
                 result.spool.folder.mkdir()
                 if result.failures:
                     yield result
+                elif fetcher is not None and item.origin is not None:
+                    fetching[fetcher.take(item, result.spool.folder)] = result
                 else:
                     running[_submit(pool, result, settings, 0)] = result
-            done, _ = concurrent.futures.wait(running, _PAUSE, return_when="FIRST_COMPLETED")
-            for future in done:
+            done, _ = concurrent.futures.wait(
+                [*running, *fetching], _PAUSE, return_when="FIRST_COMPLETED"
+            )
+            for future in done & fetching.keys():
+                result = fetching.pop(future)
+                if _fetched(future, result):
+                    running[_submit(pool, result, settings, 0)] = result
+                else:
+                    yield result
+            for future in done & running.keys():
                 result = running.pop(future)
                 again = _take(future, result, settings)
                 if again is not None:
                     running[_submit(pool, result, settings, again)] = result
                 else:
+                    _drop_fetched(result)
                     yield result
     except BrokenExecutor as error:
         raise kernels_unavailable() from error
     finally:
         pool.stop()
         pool.join()
+
+
+def _fetched(future: concurrent.futures.Future[Input], result: Result) -> bool:
+    """Give a result its fetched input, or the failure to fetch it; return whether it is there."""
+    try:
+        result.input = future.result()
+    except InputError as error:
+        result.failures.append(Failure("fetch", error.kind, str(error), fatal=True))
+        return False
+    return True
+
+
+def _drop_fetched(result: Result) -> None:
+    """Delete the bytes that were brought for a model: its shard may be far from complete."""
+    path = result.input.path
+    if result.input.origin is not None and path.parent == result.spool.folder:
+        path.unlink(missing_ok=True)
 
 
 def isolated_pool(jobs: int, memory: float, need: str) -> Any:

@@ -8,8 +8,8 @@ import platform
 import re
 import time
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,13 +19,16 @@ import pyarrow as pa
 from obstore.exceptions import BaseError
 
 from breplake.errors import BreplakeError, StorageError, UsageError
-from breplake.ingest.inputs import Input, find_inputs
+from breplake.ingest.inputs import Input
 from breplake.ingest.journal import Journal
 from breplake.ingest.plan import Plan, Redo, plan
 from breplake.ingest.pool import Result, discard
 from breplake.ingest.replace import remainder
 from breplake.ingest.settings import Settings
 from breplake.ingest.shard import SHARD_MODELS, write_shard
+from breplake.ingest.sources.archives import ARCHIVE
+from breplake.ingest.sources.limits import Limits
+from breplake.ingest.sources.resolve import Sources
 from breplake.ingest.tally import Tally
 from breplake.ingest.versions import versions
 from breplake.ingest.workspace import Workspace, finished_first, work_root
@@ -60,6 +63,15 @@ class Summary(Tally):
     snapshot: Snapshot | None = None
     stopped: bool = False
 
+    @property
+    def refused(self) -> list[Input]:
+        """Archives among the inputs that are not safe, so that nothing of them was read."""
+        return [
+            item
+            for item in self.plan.inputs
+            if item.format == ARCHIVE and item.failure and item.failure.kind == "refused"
+        ]
+
 
 def ingest(
     sources: Sequence[str | Path],
@@ -76,6 +88,8 @@ def ingest(
     engine: Engine = "local",
     address: str | None = None,
     work: Path | None = None,
+    limits: Limits | None = None,
+    tell: Callable[[str], None] | None = None,
 ) -> Summary:
     """Ingest CAD files into a lake, which is made if it does not exist.
 
@@ -86,7 +100,7 @@ def ingest(
     Parameters
     ----------
     sources : sequence of path
-        Files and folders.
+        Files, folders, archives, lists (``.csv``, ``.parquet``) and ``onshape:`` addresses.
     lake : path or str
         The lake's folder, or its URL in object storage (``s3://…``): shards are then written on
         this machine and sent.
@@ -115,11 +129,16 @@ def ingest(
     work : Path, optional
         Folder for what is in the making, on each machine. By default it is in the lake, if that
         is in a folder of this machine, else in the user's cache.
+    limits : Limits, optional
+        How far archives are trusted.
+    tell : callable, optional
+        Called with a line of text while sources are looked through, which may take long.
 
     Raises
     ------
     UsageError
-        If a source or setting breaks a rule.
+        If a source or setting breaks a rule. An archive that is not safe is a failure, as all
+        members of it that are known.
     CommitConflictError
         If another writer added or replaced the same models meanwhile.
     StorageError
@@ -133,17 +152,20 @@ def ingest(
         raise UsageError(f"jobs must be at least 1; got {jobs}")
     if address is not None and engine != "ray":
         raise UsageError(f"an address is that of a Ray cluster: give --engine ray, not {engine}")
-    inputs = find_inputs([Path(source) for source in sources], collection)
     text = message or f"ingest {', '.join(str(source) for source in sources)}"
-    with _writable(lake), Journal.open(log) as journal:
+    stop = stop or (lambda: False)
+    with ExitStack() as stack:
+        opened = stack.enter_context(Sources.open(limits, tell, stop))
+        inputs = opened.find(sources, collection)
+        stack.enter_context(_writable(lake))
+        journal = stack.enter_context(Journal.open(log))
         store = LakeStore.open_or_create(lake)
-        todo = plan(store, inputs, settings, redo)
+        todo = plan(store, inputs, settings, redo, opened.whole)
         with Workspace.open(work_root(store.storage, work), settings) as workspace:
             if not store.storage.is_local:
                 store = store.at_desk(workspace.folder / "desk")
-            run = _Run(store, todo, settings, workspace, journal, text)
+            run = _Run(store, todo, settings, workspace, journal, opened, text)
             run.report = progress or run.report
-            stop = stop or (lambda: False)
             if engine == "ray":
                 return run(run.on_cluster(address, jobs, stop, work))
             return run(run.here(jobs, stop))
@@ -194,10 +216,12 @@ class _Run:
         settings: Settings,
         workspace: Workspace,
         journal: Journal,
+        sources: Sources,
         message: str,
     ) -> None:
         self.store, self.plan, self.settings = store, todo, settings
         self.workspace, self.journal, self.message = workspace, journal, message
+        self.sources = sources
         self.summary = Summary(plan=todo)
         self.started = time.time()
         self.report: Callable[[Plan, Summary], None] = lambda _plan, _summary: None
@@ -211,6 +235,8 @@ class _Run:
             for shard in shards:
                 self._commit(shard)
         self.summary.stopped = self.summary.stopped or self.summary.n_done < len(self.plan.todo)
+        if not self.summary.stopped:
+            self._settle()
         self.summary.seconds = time.monotonic() - begin
         self.journal.write("end", stopped=self.summary.stopped, seconds=self.summary.seconds)
         return self.summary
@@ -219,8 +245,8 @@ class _Run:
         """Yield shards that this machine ingests; the last may be cut short."""
         jobs = jobs or len(os.sched_getaffinity(0))
         shards = _Shards(self.plan)
-        found = finished_first(self.workspace, self.plan.todo, self.settings, jobs, stop)
-        for result in found:
+        todo, settings = self.plan.todo, self.settings
+        for result in finished_first(self.workspace, todo, settings, jobs, self.sources, stop):
             self.summary.add(result)
             self.journal.result(result)
             self._tell()
@@ -249,7 +275,10 @@ class _Run:
         from breplake.ingest.cluster import run_shards
 
         groups = _Shards(self.plan).inputs()
-        for done in run_shards(self.store, groups, self.settings, address, jobs, stop, work):
+        done_shards = run_shards(
+            self.store, groups, self.settings, self.sources, address, jobs, stop, work
+        )
+        for done in done_shards:
             self.summary.merge(done.tally)
             for entry in done.events:
                 self.journal.add(entry)
@@ -272,20 +301,28 @@ class _Run:
 
     def _commit(self, shard: _Shard) -> None:
         redone = self.plan.redone & {item.model_id for item in shard.inputs}
+        snapshot = self._replace(redone, shard.files)
+        self.journal.write("commit", snapshot=snapshot.number, models=len(shard.inputs))
+        shard.clear()
+
+    def _settle(self) -> None:
+        """Take out the failures that hold no more."""
+        if self.plan.settled:
+            self._replace(self.plan.settled, list)
+
+    def _replace(self, ids: Collection[int], files: Callable[[], list[FileEntry]]) -> Snapshot:
+        """Commit new files in place of the models and failures `ids`."""
         with self.store.lock():
-            kept, replaced = remainder(self.store, redone)
-            files = shard.files()
-            snapshot = self.store.commit(
-                [*kept, *files],
+            kept, replaced = remainder(self.store, ids)
+            self.summary.snapshot = self.store.commit(
+                [*kept, *files()],
                 message=self.message,
                 tools=_tools(),
                 config_hash=self.settings.config_hash,
                 replaces=replaced,
             )
         self.store.clear_desk()
-        self.summary.snapshot = snapshot
-        self.journal.write("commit", snapshot=snapshot.number, models=len(shard.inputs))
-        shard.clear()
+        return self.summary.snapshot
 
 
 class _Shard(NamedTuple):

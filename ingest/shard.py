@@ -11,8 +11,8 @@ import pyarrow as pa
 
 from breplake.ingest.failure import KILLED
 from breplake.ingest.geometry import Row
-from breplake.ingest.inputs import printable
 from breplake.ingest.pool import Result
+from breplake.ingest.printable import printable
 from breplake.schema.arrays import GRID_ARRAYS, ArrayShardWriter
 from breplake.schema.lake import LakeStore
 from breplake.schema.shard_writer import fresh_name, write_table
@@ -104,12 +104,12 @@ def _failure_rows(result: Result, config_hash: str) -> list[Row]:
             "model_id": item.model_id,
             "collection": item.collection,
             "name": item.name,
-            "path": printable(item.path),
+            "path": item.shown,
             "bytes": item.bytes,
             "sha256": item.sha256,
             "stage": failure.stage,
             "kind": failure.kind,
-            "message": failure.message,
+            "message": printable(failure.message),
             "signal": failure.signal,
             "seconds": failure.seconds,
             "peak_memory": failure.peak_memory,

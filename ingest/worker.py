@@ -20,7 +20,7 @@ from breplake.ingest.clock import KERNEL, StageClock, peak_memory
 from breplake.ingest.failure import Failure, advise
 from breplake.ingest.geometry import Row
 from breplake.ingest.heal import add_missing_pcurves
-from breplake.ingest.inputs import Input, printable
+from breplake.ingest.inputs import Input
 from breplake.ingest.kernel import ClosedForm, GmshModel, gmsh_session
 from breplake.ingest.load import Document, load
 from breplake.ingest.measures import duplicate_group
@@ -30,6 +30,7 @@ from breplake.ingest.refine import refine, surface_periods
 from breplake.ingest.rows import brep_columns, brep_tables, mesh_columns, mesh_tables
 from breplake.ingest.settings import RUNGS, Settings
 from breplake.ingest.spool import HANG_EXIT, Spool
+from breplake.ingest.swept import swept_areas
 from breplake.ingest.tessellation import tessellate
 from breplake.ingest.truth import derive, wind
 from breplake.ingest.unpack import unpacked
@@ -143,11 +144,14 @@ class _Model:
         with KERNEL():
             valid = BRepCheck_Analyzer(shapes.compound).IsValid()
         self.tables = brep_tables(self.id, brep)
+        if areas := swept_areas(self.tables):
+            brep.set_areas(areas)
+            self.tables = brep_tables(self.id, brep)
         self.row = (
             self._source_columns()
+            | self.input.facts.columns()
             | brep_columns(brep)
             | {
-                "metadata": [],
                 "length_unit": document.length_unit,
                 "scale_to_mm": document.scale_to_mm,
                 "is_valid": valid,
@@ -174,7 +178,7 @@ class _Model:
             "model_id": self.id,
             "collection": source.collection,
             "name": source.name,
-            "path": printable(source.path),
+            "path": source.shown,
             "format": source.format,
             "bytes": source.bytes,
             "sha256": source.sha256,

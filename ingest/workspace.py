@@ -34,6 +34,7 @@ from breplake.ingest.failure import Failure
 from breplake.ingest.inputs import Input
 from breplake.ingest.pool import Result, run_models
 from breplake.ingest.settings import Settings
+from breplake.ingest.sources.resolve import Sources
 from breplake.ingest.spool import Spool
 from breplake.ingest.versions import versions
 from breplake.schema.storage import Storage
@@ -159,9 +160,26 @@ def finished_first(
     inputs: Sequence[Input],
     settings: Settings,
     jobs: int,
+    sources: Sources,
     stop: Callable[[], bool] = lambda: False,
 ) -> Iterator[Result]:
-    """Yield every finished input: first what an earlier run left, then the others, run now."""
+    """Yield every finished input: first what an earlier run left, then the others, run now.
+
+    Parameters
+    ----------
+    workspace : Workspace
+        Of this run.
+    inputs : sequence of Input
+        What is to be finished, in order.
+    settings : Settings
+        What to do to each model.
+    jobs : int
+        Number of worker processes.
+    sources : Sources
+        Brings the bytes that are in no file yet.
+    stop : callable
+        Asked often; once it returns True the models in work are given up.
+    """
     rest: list[Input] = []
     for item in inputs:
         failures = workspace.finished(item)
@@ -169,9 +187,10 @@ def finished_first(
             rest.append(item)
         else:
             yield Result(item, workspace.spool(item), failures, is_resumed=True)
-    for result in run_models(rest, settings, jobs, workspace.spool, stop):
-        workspace.close(result.input, result.failures)
-        yield result
+    with sources.fetcher(rest, workspace.folder / "unpacked") as fetcher:
+        for result in run_models(rest, settings, jobs, workspace.spool, stop, fetcher):
+            workspace.close(result.input, result.failures)
+            yield result
 
 
 def running(root: Path) -> list[dict[str, Any]]:

@@ -52,6 +52,8 @@ def copy_files(
     target: Storage,
     files: Sequence[FileEntry],
     progress: Callable[[int], None] | None = None,
+    *,
+    trusting: bool = True,
 ) -> Copied:
     """Copy files of a snapshot; those that are there with the right hash are left.
 
@@ -63,6 +65,8 @@ def copy_files(
         What to copy.
     progress : callable, optional
         Called with numbers of bytes that have been dealt with, from several threads.
+    trusting : bool
+        Whether a file in object storage is the right one if its size is right.
 
     Raises
     ------
@@ -73,7 +77,7 @@ def copy_files(
     tell = progress or (lambda _: None)
 
     def work(member: _Member) -> None:
-        size, copied = _copy(source, target, member)
+        size, copied = _copy(source, target, member, trusting)
         with guard:
             done.files += copied
             done.skipped += not copied
@@ -111,7 +115,7 @@ def _members(source: Storage, entry: FileEntry) -> Iterator[_Member]:
     yield _Member(path, entry.sha256)
 
 
-def _copy(source: Storage, target: Storage, member: _Member) -> tuple[int, bool]:
+def _copy(source: Storage, target: Storage, member: _Member, trusting: bool) -> tuple[int, bool]:
     """Copy a file unless it is there; return its size and whether it was copied."""
     if target.is_local:
         return _download(source, target.path(member.path), member)
@@ -119,7 +123,7 @@ def _copy(source: Storage, target: Storage, member: _Member) -> tuple[int, bool]
     if not local.is_file() or file_hash(local) != member.sha256:
         raise LakeFormatError(_damaged(source, member.path, "missing, or with another hash"))
     size = local.stat().st_size
-    if target.size(member.path) == size:  # uploads appear whole or not at all
+    if trusting and target.size(member.path) == size:  # uploads appear whole or not at all
         return size, False
     target.upload(local, member.path)
     return size, True

@@ -238,7 +238,7 @@ class LakeStore:
             return True
         if not claim(self.desk, self.storage, files):
             return False
-        copy_files(self.desk, self.storage, files)
+        copy_files(self.desk, self.storage, files, trusting=False)
         return True
 
     def clear_desk(self) -> None:

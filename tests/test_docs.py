@@ -38,7 +38,10 @@ class Block:
     reason: bool
 
     def commands(self) -> Iterator[str]:
-        """Yield the lines of a shell block that call breplake, continuations joined."""
+        """Yield the lines of a shell block that call breplake, or make what it is to read.
+
+        Continuations are joined.
+        """
         text = self.body.replace("\\\n", " ")
         for line in text.splitlines():
             line = line.strip()
@@ -46,7 +49,7 @@ class Block:
                 if not line.startswith("$ "):
                     continue  # what the command printed
                 line = line[2:]
-            if line.startswith("breplake "):
+            if line.startswith(("breplake ", "printf ", "tar ")):
                 yield line
 
 
@@ -69,6 +72,7 @@ def run(command: list[str], folder: Path, place: str) -> None:
     environment = os.environ | {
         "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]),
         "BREPLAKE": str(folder / "lake"),
+        "BREPLAKE_CACHE": str(folder / "cache"),
         "PYTHONSAFEPATH": "1",
     }
     done = subprocess.run(
@@ -120,14 +124,14 @@ def test_blocks_are_found():
     text = (
         "```python\nx = 1\n```\n\n<!-- no-run: needs a GPU -->\n\n```bash no-run\nbreplake a\n```\n"
         "```bash\nmake\nbreplake b \\\n  --c\n```\n"
-        "```console\n$ breplake d\nbreplake printed\n```\n"
+        "```console\n$ breplake d\nbreplake printed\n$ printf d > e\n```\n"
         "```bash no-run\nbreplake e\n```\n"
     )
     found = blocks(text)
     assert [b.language for b in found] == ["python", "bash", "bash", "console", "bash"]
     assert [(b.no_run, b.reason) for b in found[1::3]] == [(True, True), (True, False)]
     assert list(found[2].commands()) == ["breplake b    --c"]
-    assert list(found[3].commands()) == ["breplake d"]
+    assert list(found[3].commands()) == ["breplake d", "printf d > e"]
     assert found[2].line == 10
 
 

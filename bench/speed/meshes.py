@@ -23,10 +23,10 @@ from breplake.errors import MissingExtraError
 from breplake.ingest.abc.obj import read_obj
 from breplake.queries.abc.export import export
 
-__all__ = ["main"]
+__all__ = ["main", "read_abc", "read_lake"]
 
 
-def _read_abc(folder: Path) -> Iterator[int]:
+def read_abc(folder: Path) -> Iterator[int]:
     """Read every model of a folder; yield its triangles."""
     try:
         import yaml  # type: ignore[import-untyped]  # there are stubs, but not in this environment
@@ -43,7 +43,7 @@ def _read_abc(folder: Path) -> Iterator[int]:
         yield len(mesh.triangles)
 
 
-def _read_lake(lake: breplake.Lake, ids: list[int]) -> Iterator[int]:
+def read_lake(lake: breplake.Lake, ids: list[int]) -> Iterator[int]:
     """Read the same models with their labels from the lake; yield their triangles."""
     from breplake.loaders import LabelledMeshDataset, MeshDataset
 
@@ -77,8 +77,8 @@ def main(
         folder = Path(temporary)
         export(opened, ids, folder, decimals=6)
         size = sum(path.stat().st_size for path in folder.iterdir())
-        theirs = [_timed(lambda: _read_abc(folder)) for _ in range(rounds)]
-    ours = [_timed(lambda: _read_lake(opened, ids)) for _ in range(rounds)]
+        theirs = [_timed(lambda: read_abc(folder)) for _ in range(rounds)]
+    ours = [_timed(lambda: read_lake(opened, ids)) for _ in range(rounds)]
     assert sorted(ours[0][1]) == sorted(theirs[0][1]), "both sides read the same triangles"
     abc, mine = min(seconds for seconds, _ in theirs), min(seconds for seconds, _ in ours)
     print(machine("breplake", "numpy", "torch", "pyyaml"))

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from breplake.ingest.abc.repair import Repairs
+from breplake.ingest.sources.abc_names import document_facts
 from breplake.schema.types import MESH_KINDS
 
 __all__ = ["Stats", "document_columns"]
@@ -32,9 +33,6 @@ _SAME_EDGE: Final = 10.0
 
 _METRE: Final = 1000.0
 
-_FACTS: Final = {"name": "document", "createdAt": "created", "modifiedAt": "modified"}
-"""Keys of a metadata file that are kept, with their names in ``models.metadata``."""
-
 
 def document_columns(content: Any) -> dict[str, Any]:
     """Return columns of ``models`` from a metadata file, that of the Onshape document.
@@ -42,18 +40,7 @@ def document_columns(content: Any) -> dict[str, Any]:
     ``licence`` where the file states one, ``owner``, ``source_url`` (the page of the document
     and not that of the programming interface) and ``metadata``: name and dates.
     """
-    given = content if isinstance(content, Mapping) else {}
-    owner = given.get("owner")
-    name = owner.get("name") if isinstance(owner, Mapping) else owner
-    address = given.get("href")
-    licence = given.get("license", given.get("licence"))
-    facts = [(_FACTS[key], str(given[key])) for key in _FACTS if given.get(key) is not None]
-    return {
-        "licence": None if licence is None else str(licence),
-        "owner": None if name is None else str(name),
-        "source_url": str(address).replace("/api/documents/", "/documents/") if address else None,
-        "metadata": facts,
-    }
+    return document_facts(content if isinstance(content, Mapping) else {}).columns()
 
 
 @dataclass(slots=True)

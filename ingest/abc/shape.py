@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -25,6 +25,9 @@ Row = dict[str, Any]
 _Floats = npt.NDArray[np.float64]
 _Ints = npt.NDArray[np.int64]
 _Bools = npt.NDArray[np.bool_]
+
+_ELEMENTARY: Final = ("Plane", "Cylinder", "Cone", "Sphere", "Torus")
+"""Types of patches whose areas are integrated to nearly all digits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +96,7 @@ def shape(
     ]
     n_loops = Counter(patch for patch, _ in {(row["patch_id"], row["loop"]) for row in coedges})
     parts, part_of, volume = _parts(features, mesh, used, found, stats)
-    area, total = _areas(found, stats)
+    area, total = _areas(found, stats, [row["type"] for row in features.patches])
     patches = [
         row
         | {
@@ -116,14 +119,16 @@ def shape(
     return Shape(parts, patches, curves, coedges, _corner_rows(mesh, gaps), total, volume)
 
 
-def _areas(found: Masses, stats: Stats) -> tuple[_Floats, float]:
+def _areas(found: Masses, stats: Stats, types: Sequence[str]) -> tuple[_Floats, float]:
     """Return the areas of all patches, mm^2, and their sum, which is the stated one if it fits.
 
-    What patches differ from it is put down to those that the mesh is too coarse to tell.
+    What patches differ from it is put down to those that the mesh is too coarse to tell, or
+    else to those whose integrals are the least certain.
     """
     exact, loose = float(found.area.sum()), found.loose
     total = stats.mass("surface", exact, float(found.area[loose].sum()))
-    blamed = loose if loose.any() else np.ones(len(loose), dtype=bool)
+    uncertain: _Bools = ~np.isin(types, _ELEMENTARY)
+    blamed = next(some for some in (loose, uncertain, ~np.zeros_like(loose)) if some.any())
     share = float(found.area[blamed].sum())
     factor = 1.0 + (total - exact) / share if share else 1.0
     return np.where(blamed, found.area * factor, found.area), total

@@ -12,6 +12,7 @@
     ├── InputError                 (ValueError) one CAD file: becomes a row of ``failures``
     ├── KernelUnavailableError     (OSError) the CAD kernels cannot be loaded here
     ├── UsageError                 (ValueError) an argument breaks a rule
+    │   └── RefusedSourceError     an archive that is not safe to read
     ├── SampleError            (RuntimeError) a loader could not make a sample
     ├── LimitError                 (RuntimeError) something took more than it was allowed
     └── MissingExtraError          (ImportError) an optional dependency is not installed
@@ -33,6 +34,7 @@ __all__ = [
     "LimitError",
     "MissingExtraError",
     "NameNotFoundError",
+    "RefusedSourceError",
     "SampleError",
     "StorageError",
     "UsageError",
@@ -123,6 +125,12 @@ class SampleError(BreplakeError, RuntimeError):
     """A loader could not make a sample, or the worker that made it died; names the model."""
 
     kind = "sample"
+
+
+class RefusedSourceError(UsageError):
+    """An archive is not safe to read, so nothing of it is."""
+
+    kind = "refused-source"
 
 
 class LimitError(BreplakeError, RuntimeError):

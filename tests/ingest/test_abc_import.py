@@ -225,6 +225,21 @@ def test_what_is_right_needs_no_repair(bar):
     assert record.model["volume"] == pytest.approx(np.pi * 160, rel=1e-9)
 
 
+def test_mesh_of_an_obj_beside_its_step_file(bar, ingest_file):
+    import cadquery as cq
+
+    alone = bar()
+    cq.exporters.export(cq.Workplane().cylinder(10, 4), str(bar.folder / "a.step"))
+    record = ingest_file(bar.folder)
+    assert record.failures == []
+    assert record.model["format"] == "step"
+    assert record.model["import_repairs"] == []
+    assert record.model["mesh_note"] == "the mesh is that of the imported files"
+    np.testing.assert_allclose(record.points, alone.points, atol=1e-9)
+    np.testing.assert_allclose(record.normals, alone.normals, atol=1e-9)
+    assert record.tables["pcurves"].num_rows > 0  # from the STEP file
+
+
 def shift(content):
     for part in ("curves", "surfaces"):
         for row in content["features"][part]:
@@ -253,6 +268,10 @@ def forget(content):
     row["vert_indices"][1] = -1
 
 
+def point_beyond(content):
+    content["features"]["surfaces"][0]["vert_indices"][2] = 10**6
+
+
 def estimates(content):
     content["stats"] |= {"surface": 1e-11, "volume": 2e-12, "#edges": 7}
 
@@ -265,6 +284,7 @@ def estimates(content):
         (thousandfold, {"curve-parameters"}),
         (lose, {"lost-parameters"}),
         (forget, {"missing-vertices"}),
+        (point_beyond, {"missing-vertices"}),
         (estimates, {"stats-surface", "stats-volume", "stats-counts"}),
     ],
 )
@@ -324,3 +344,13 @@ def test_half_a_model_is_refused(left_out, kind, bar):
     assert item.failure is not None
     assert item.failure.kind == kind
     assert "put it beside" in item.failure.message
+
+
+def test_the_guide_names_every_repair_and_refusal():
+    from breplake.ingest.abc.repair import REPAIRS
+
+    guide = (Path(__file__).parents[2] / "docs" / "abc.md").read_text(encoding="utf-8")
+    for code, fault in REPAIRS.items():
+        assert f"| `{code}` | {fault} |\n" in guide
+    for kind in ("no-features", "no-trimesh", "bad-features", "bad-mesh", "features-mismatch"):
+        assert f"| `{kind}` |" in guide

@@ -38,12 +38,12 @@ from OCP.TopAbs import TopAbs_Orientation
 from OCP.TopLoc import TopLoc_Location
 
 from breplake.errors import LakeFormatError, NameNotFoundError
-from breplake.ingest.brep import INTEGRAL
 from breplake.ingest.canonical import canonical
 from breplake.ingest.load import load
 from breplake.ingest.lossless.compare import differences, measure
 from breplake.ingest.lossless.graph import ShapeGraph
 from breplake.ingest.lossless.rebuild import rebuild, rebuilt_shapes
+from breplake.ingest.mass import INTEGRAL
 from breplake.ingest.samples import PARTS, write_samples
 
 PLACE = gp_Ax3(gp_Pnt(1, -2, 3), gp_Dir(1, 2, 2), gp_Dir(2, 1, -2))

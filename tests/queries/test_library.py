@@ -505,6 +505,35 @@ def test_benchmark_candidates(samples: Lake):
     assert ask(samples, "benchmark_candidates", min_vertices=10**8) == []
 
 
+@pytest.mark.parametrize(
+    "given", [{}, {"min_bytes": 0, "unique": True}, {"max_faces": 900, "min_vertices": 0}]
+)
+def test_every_input_is_a_candidate_or_rejected(samples: Lake, tiny_lake: Path, given: dict):
+    for lake in (samples, breplake.open(tiny_lake)):
+        taken, rejected = (
+            by(ask(lake, name, **given), "model_id")
+            for name in ("benchmark_candidates", "benchmark_rejects")
+        )
+        query = "SELECT model_id FROM models UNION SELECT model_id FROM failures WHERE fatal"
+        assert sorted([*taken, *rejected]) == sorted(row for (row,) in lake.sql(query).fetchall())
+        assert all(row["reasons"] for row in rejected.values())
+
+
+def test_benchmark_rejects(samples: Lake, tiny_lake: Path):
+    none = {"min_bytes": 0, "min_vertices": 0}
+    reasons = {row["name"]: row["reasons"] for row in ask(samples, "benchmark_rejects", **none)}
+    assert reasons["ball_steel"] == ["single-primitive"]
+    assert "mug" not in reasons
+    ball = by(ask(samples, "benchmark_rejects", max_faces=10))["ball_steel"]
+    assert ball["reasons"][:2] == ["nearly-empty", "single-primitive"]
+    assert "mesh-too-large" in ball["reasons"]
+    unique = by(ask(samples, "benchmark_rejects", min_bytes=0, unique=True))
+    assert unique["base_plate_mm"]["reasons"] == ["duplicate"]
+    assert "base_plate_inch" not in unique
+    failed = by(ask(breplake.open(tiny_lake), "benchmark_rejects", **none))
+    assert "not-cad" in failed["broken"]["reasons"]
+
+
 def test_licences(tiny_lake: Path):
     lake = breplake.open(tiny_lake)
     lake.connection.execute(

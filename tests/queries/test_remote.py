@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import multiprocessing
 import pickle
+import threading
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -136,6 +140,8 @@ def test_commands(own_lake, bucket, tmp_path):
     assert call("diff", 1, 2, "--lake", bucket) == call("diff", 1, 2, "--lake", own_lake)
     result = CliRunner().invoke(app, ["check", bucket])
     assert (result.exit_code, "breplake pull" in result.stderr) == (2, True)
+    result = CliRunner().invoke(app, ["pull", str(own_lake), "--lake", bucket])
+    assert (result.exit_code, "to a folder of this machine" in result.stderr) == (2, True)
     result = CliRunner().invoke(app, ["info", "--lake", "s3://no-such-bucket-here/x"])
     assert result.exit_code == 2
     assert result.stderr.startswith("breplake: ")
@@ -177,3 +183,47 @@ def test_reads_of_parts(bucket):
     buffer = bytearray(6)
     assert reader.readinto(buffer) == 6
     assert (bytes(buffer), reader.tell()) == (data[1:7], 7)
+
+
+class _Ranges(SimpleHTTPRequestHandler):
+    """A web server that answers range requests, as most do but Python's own."""
+
+    def log_message(self, *_):
+        pass
+
+    def do_GET(self):
+        path = Path(self.translate_path(self.path))
+        if not path.is_file():
+            self.send_error(404)
+            return
+        data, asked = path.read_bytes(), self.headers["Range"]
+        if asked is None:
+            self.send_response(200)
+        else:
+            first, _, last = asked.removeprefix("bytes=").partition("-")
+            start = int(first) if first else max(0, len(data) - int(last))
+            end = min(int(last), len(data) - 1) if first and last else len(data) - 1
+            self.send_response(206)
+            self.send_header("Content-Range", f"bytes {start}-{end}/{len(data)}")
+            data = data[start : end + 1]
+        self.send_header("Content-Length", str(len(data)))
+        self.end_headers()
+        self.wfile.write(data)
+
+
+def test_over_http(own_lake):
+    here = breplake.open(own_lake)
+    with ThreadingHTTPServer(("127.0.0.1", 0), partial(_Ranges, directory=own_lake)) as server:
+        threading.Thread(target=server.serve_forever).start()
+        try:
+            there = breplake.open(f"http://127.0.0.1:{server.server_port}")
+            query = "SELECT name, area FROM models ORDER BY name"
+            assert there.snapshot == here.snapshot
+            assert there.sql(query).fetchall() == here.sql(query).fetchall()
+            assert there.read("patches", there.model("big")["model_id"]).num_rows == 6
+            assert there.scan("faces").collect().equals(here.scan("faces").collect())
+            np.testing.assert_array_equal(
+                there.arrays("s0").read("position", 2, 9), here.arrays("s0").read("position", 2, 9)
+            )
+        finally:
+            server.shutdown()

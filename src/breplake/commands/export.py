@@ -107,4 +107,5 @@ def abc(
         )  # fmt: skip
     skipped = f", {done.skipped} were there already" if done.skipped else ""
     unmeshed = f", {done.unmeshed} without mesh and so without OBJ" if done.unmeshed else ""
-    typer.echo(f"{done.written} models written to {output}{skipped}{unmeshed}")
+    noun = "model" if done.written == 1 else "models"
+    typer.echo(f"{done.written} {noun} written to {output}{skipped}{unmeshed}")

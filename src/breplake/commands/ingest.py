@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -12,11 +12,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from breplake.commands.options import LakeOption, console
-from breplake.errors import UsageError
+from breplake.errors import RefusedSourceError, UsageError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from breplake.ingest.inputs import Input
     from breplake.ingest.plan import Plan
     from breplake.ingest.run import Summary
 
@@ -27,13 +28,16 @@ _NAMED = 5  # changed files that are named before "and N more"
 
 def ingest(
     sources: Annotated[
-        list[Path] | None,
-        typer.Argument(help="CAD files and folders of them.", metavar="SOURCE..."),
+        list[str] | None,
+        typer.Argument(
+            help="CAD files, folders, archives, lists (.csv .parquet), onshape: addresses.",
+            metavar="SOURCE...",
+        ),
     ] = None,
     lake: LakeOption = "lake",
     collection: Annotated[
         str | None,
-        typer.Option(help="Collection of the models; the source folder's name if not given."),
+        typer.Option(help="Collection of the models; the name of the source if not given."),
     ] = None,
     jobs: Annotated[
         int | None, typer.Option("--jobs", "-j", min=1, help="Worker processes; one per core.")
@@ -66,6 +70,9 @@ def ingest(
         list[str] | None,
         typer.Option(help="Retry only failures of this kind; may be given more than once."),
     ] = None,
+    max_expansion: Annotated[
+        float, typer.Option(help="How many times its size an archive may unpack to.")
+    ] = 250.0,
     log: Annotated[
         Path | None, typer.Option(help="Append a line of JSON for each event to this file.")
     ] = None,
@@ -91,6 +98,7 @@ def ingest(
     """Read CAD files, mesh them, derive the ground truth, and commit it all to a lake.
 
     Files are STEP (.step .stp .p21), IGES (.iges .igs) or BREP (.brep .brp), also with .gz.
+    Archives (.zip .7z .tar .tar.gz ...) are read member by member: see docs/sources.md.
     Every file ends as a row of models or of failures; what is in the lake is skipped. A run
     that was stopped or killed is taken up by the same command.
     """
@@ -102,6 +110,7 @@ def ingest(
     from breplake.ingest.plan import Redo
     from breplake.ingest.run import ingest as run
     from breplake.ingest.settings import Settings
+    from breplake.ingest.sources.limits import Limits
 
     settings = Settings(
         mesh=mesh, max_edge=max_edge, uv_grid=uv_grid, timeout=timeout, memory=memory
@@ -122,10 +131,21 @@ def ingest(
             engine=engine,
             address=address,
             work=work,
+            limits=Limits(expansion=max_expansion),
+            tell=bar.tell,
         )
     _report(console(), summary, lake)
     if summary.stopped:
         raise typer.Exit(130)
+    if summary.refused:
+        raise _refusal(summary.refused)
+
+
+def _refusal(archives: Sequence[Input]) -> RefusedSourceError:
+    """Return the error that tells of archives that were refused, when all else is done."""
+    reasons = [item.failure.message for item in archives[:_NAMED] if item.failure]
+    more = f"; and {len(archives) - _NAMED} more archives" if len(archives) > _NAMED else ""
+    return RefusedSourceError("; ".join(reasons) + more)
 
 
 @contextmanager
@@ -203,6 +223,10 @@ class _Bar:
 
     def __exit__(self, *_: Any) -> None:
         self.bar.stop()
+
+    def tell(self, text: str) -> None:
+        """Show what is done before the number of models is known."""
+        self.bar.update(self.task, rate=text)
 
     def update(self, plan: Plan, summary: Summary) -> None:
         """Show where the run stands."""

@@ -90,7 +90,10 @@ def pull(
     command goes on where it was.
     """
     from breplake.schema.lake import LakeStore
+    from breplake.schema.storage import local_folder
 
+    if local_folder(lake) is None:
+        raise UsageError(f"pull copies to a folder of this machine, got --lake {lake}")
     with _reached(place):
         source = LakeStore.open(place)
         selection = _selection(where, subset, models)

@@ -1,0 +1,178 @@
+"""Onshape as a source: ``onshape:`` and the address of a document, or a search for public ones.
+
+====================================================  ========================================
+``onshape:https://cad.onshape.com/documents/d/w/e``   parts of a document, or of a Part Studio
+``onshape:public?q=gear&limit=50``                    of public documents with that in the name
+``…?by=studio`` or ``…&by=studio``                    one model per Part Studio, not per part
+====================================================  ========================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+from urllib.parse import parse_qs, urlsplit
+
+from breplake.errors import InputError, UsageError
+from breplake.ingest.failure import Failure
+from breplake.ingest.inputs import Input
+from breplake.ingest.printable import printable
+from breplake.ingest.sources.facts import NO_FACTS, Facts
+from breplake.ingest.sources.onshape_api import base_address
+from breplake.ingest.sources.onshape_parts import PREFIX, Document, Onshape, Part
+from breplake.ingest.sources.origin import UriOrigin
+
+__all__ = ["PREFIX", "Query", "documents_in", "is_onshape", "onshape_inputs"]
+
+COLLECTION: Final = "onshape"
+"""Collection of the models, if none is given: names hold ids, which are unique."""
+
+_AT_ONCE: Final = 4
+"""Translations under way at the same time."""
+
+_NOWHERE: Final = Path()
+"""File of an input that has none before it is fetched."""
+
+_DOCUMENTS: Final = 20
+"""Public documents that are read if no limit is given."""
+
+
+def is_onshape(source: str) -> bool:
+    """Whether a source is Onshape's."""
+    return source.startswith(PREFIX)
+
+
+@dataclass(frozen=True, slots=True)
+class Query:
+    """What of Onshape is to be read.
+
+    Parameters
+    ----------
+    document : Document, optional
+        One document; None for a search.
+    text : str
+        What the names of public documents hold.
+    limit : int
+        How many documents.
+    by_studio : bool
+        One model per Part Studio.
+    """
+
+    document: Document | None = None
+    text: str = ""
+    limit: int = _DOCUMENTS
+    by_studio: bool = False
+
+    @classmethod
+    def parse(cls, source: str) -> Query:
+        """Return the query of a source.
+
+        Raises
+        ------
+        UsageError
+            If it is none.
+        """
+        address = source.removeprefix(PREFIX)
+        parts = urlsplit(address)
+        options = {name: values[-1] for name, values in parse_qs(parts.query).items()}
+        by_studio = options.pop("by", "part")
+        if by_studio not in ("part", "studio"):
+            raise UsageError(f"{source}: by must be part or studio, got {by_studio!r}")
+        grouped = by_studio == "studio"
+        if parts.path != "public":
+            plain = parts._replace(query="", fragment="").geturl()
+            cls._check(source, options, ())
+            return cls(Document.parse(plain, base_address()), by_studio=grouped)
+        cls._check(source, options, ("q", "limit"))
+        limit = options.get("limit", str(_DOCUMENTS))
+        if not limit.isdecimal() or int(limit) < 1:
+            raise UsageError(f"{source}: limit must be a number of documents, got {limit!r}")
+        return cls(None, options.get("q", ""), int(limit), grouped)
+
+    @staticmethod
+    def _check(source: str, options: dict[str, str], known: tuple[str, ...]) -> None:
+        other = sorted(set(options) - set(known))
+        if other:
+            names = ", ".join((*known, "by"))
+            raise UsageError(f"{source}: there is no option {other[0]!r}, only {names}")
+
+
+def onshape_inputs(
+    query: Query,
+    onshape: Onshape,
+    collection: str | None,
+    facts: Facts = NO_FACTS,
+    tell: Callable[[str], None] = lambda _text: None,
+) -> list[Input]:
+    """Return the parts that a query finds as inputs; those not known yet are translated now.
+
+    A document or part that cannot be had is an input that failed.
+
+    Parameters
+    ----------
+    query : Query
+        What is to be read.
+    onshape : Onshape
+        Reads it.
+    collection : str, optional
+        Collection of the models; ``onshape`` by default.
+    facts : Facts
+        What is known of all these models besides.
+    tell : callable
+        Takes a line of progress now and then.
+    """
+    group = printable(collection or COLLECTION)
+    if query.document is not None:
+        documents = [query.document]
+    else:
+        documents = list(onshape.public(query.text, query.limit))
+    parts: list[Part] = []
+    inputs: list[Input] = []
+    for number, document in enumerate(documents, 1):
+        try:
+            parts += onshape.parts(document, by_studio=query.by_studio)
+        except InputError as error:
+            failure = Failure("fetch", error.kind, str(error), fatal=True)
+            inputs.append(_failed(PREFIX + document.id, group, document.id, failure))
+        tell(f"Onshape: {number} of {len(documents)} documents listed, {len(parts)} models")
+    with ThreadPoolExecutor(_AT_ONCE) as pool:
+        fetched = pool.map(lambda part: _input(part, onshape, group), parts)
+        for number, item in enumerate(fetched, 1):
+            inputs.append(replace(item, facts=facts.over(item.facts)))
+            tell(f"Onshape: {number} of {len(parts)} models there")
+    return inputs
+
+
+def _input(part: Part, onshape: Onshape, group: str) -> Input:
+    shown = f"{part.facts.source_url}?partId={','.join(part.ids)}"
+    try:
+        download, address = onshape.fetch(part)
+    except InputError as error:
+        failure = Failure("fetch", error.kind, str(error), fatal=True)
+        return _failed(shown, group, part.path, failure)
+    return Input(
+        _NOWHERE,
+        group,
+        part.path,
+        "step",
+        download.bytes,
+        download.sha256,
+        shown=shown,
+        origin=UriOrigin(address),
+        facts=part.facts,
+    )
+
+
+def _failed(shown: str, group: str, name: str, failure: Failure) -> Input:
+    return Input(_NOWHERE, group, name, "step", failure=failure, shown=shown)
+
+
+def documents_in(address: str) -> bool:
+    """Whether an address in a list is one of an Onshape document, with or without the prefix."""
+    return is_onshape(address) or bool(
+        urlsplit(address).netloc == urlsplit(base_address()).netloc
+        and urlsplit(address).path.startswith("/documents/")
+    )

@@ -1,0 +1,268 @@
+"""From what was given as SOURCE to inputs, and from inputs to files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from threading import RLock
+
+from breplake.errors import UsageError
+from breplake.ingest.inputs import Input, find_inputs
+from breplake.ingest.sources.abc_names import chunk_of, is_meta_chunk, meta_chunk
+from breplake.ingest.sources.archives import archive_id, archive_inputs, check_metadata
+from breplake.ingest.sources.downloads import Downloads
+from breplake.ingest.sources.entry import archive_format
+from breplake.ingest.sources.facts import NO_FACTS, Facts
+from breplake.ingest.sources.fetch import Fetcher
+from breplake.ingest.sources.ledger import Ledger
+from breplake.ingest.sources.limits import Limits
+from breplake.ingest.sources.listing import LISTS, Row, list_inputs, read_list
+from breplake.ingest.sources.onshape import (
+    PREFIX,
+    Query,
+    documents_in,
+    is_onshape,
+    onshape_inputs,
+)
+from breplake.ingest.sources.onshape_api import Keys, OnshapeApi, base_address
+from breplake.ingest.sources.onshape_parts import Onshape
+from breplake.ingest.sources.origin import MemberOrigin
+from breplake.ingest.sources.survey import FACTS, Survey, survey
+from breplake.ingest.sources.waiting import Waiting
+from breplake.ingest.sources.web import Web
+
+__all__ = ["Sources"]
+
+
+class Sources:
+    """Finds the inputs of sources and brings their bytes. Make one with :meth:`open`.
+
+    Nothing is opened or made on disk before it is needed: plain files and folders need nothing.
+
+    Parameters
+    ----------
+    stack : ExitStack
+        Closes what is opened.
+    limits : Limits
+        How far archives are trusted.
+    tell : callable
+        Takes a line of progress now and then.
+    waiting : Waiting
+        Ends what takes long.
+
+    Attributes
+    ----------
+    limits : Limits
+        As given.
+    whole : set of int
+        Ids of the inputs that would stand for the archives and rows of lists that were found,
+        could they not be used.
+    """
+
+    def __init__(
+        self, stack: ExitStack, limits: Limits, tell: Callable[[str], None], waiting: Waiting
+    ) -> None:
+        self._stack, self.limits, self._tell, self._waiting = stack, limits, tell, waiting
+        self._lock = RLock()
+        self._ledger: Ledger | None = None
+        self._downloads: Downloads | None = None
+        self._onshape: Onshape | None = None
+        self.whole: set[int] = set()
+
+    @classmethod
+    @contextmanager
+    def open(
+        cls,
+        limits: Limits | None = None,
+        tell: Callable[[str], None] | None = None,
+        stop: Callable[[], bool] | None = None,
+    ) -> Iterator[Sources]:
+        """Open what finds inputs; it is of use until the block ends.
+
+        Parameters
+        ----------
+        limits : Limits, optional
+            How far archives are trusted.
+        tell : callable, optional
+            Takes a line of progress now and then.
+        stop : callable, optional
+            Asked often; once it returns True, what is under way ends by KeyboardInterrupt.
+        """
+        waiting = Waiting(stop or (lambda: False))
+        with ExitStack() as stack:
+            yield cls(stack, limits or Limits(), tell or (lambda _text: None), waiting)
+
+    def find(self, sources: Sequence[str | Path], collection: str | None = None) -> list[Input]:
+        """List the inputs of `sources`, sorted by collection and name.
+
+        Members of an archive keep the order of the archive. Every input whose bytes can be had
+        has its hash.
+
+        Parameters
+        ----------
+        sources : sequence of str or Path
+            CAD files, folders, archives, lists (``.csv``, ``.parquet``) and ``onshape:`` queries.
+        collection : str, optional
+            Collection of all models; by default each source's own name.
+
+        Raises
+        ------
+        UsageError
+            If a source does not exist or is of no known kind, or two inputs would get the same
+            collection and name.
+        RefusedSourceError
+            If an archive of metadata is not safe. Of others, archive and members are inputs that
+            failed, and none of them is read.
+        MissingExtraError
+            If a source needs a package that is not installed.
+        """
+        plain: list[Path] = []
+        archives: list[Path] = []
+        inputs: list[Input] = []
+        for source in sources:
+            path = Path(source)
+            if is_onshape(str(source)):
+                inputs += self._of_onshape(str(source), collection)
+            elif path.is_dir() or not path.exists():
+                plain.append(path)
+            elif archive_format(path) is not None:
+                archives.append(path)
+            elif path.suffix.lower() in LISTS:
+                inputs += self._of_list(path, collection)
+            else:
+                plain.append(path)
+        inputs += self._of_archives(_once(archives), collection)
+        return _merged([*find_inputs(plain, collection), *inputs])
+
+    @contextmanager
+    def fetcher(self, inputs: Iterable[Input], folder: Path) -> Iterator[Fetcher | None]:
+        """Give what brings the bytes of `inputs`; None if all are in files of their own.
+
+        Parameters
+        ----------
+        inputs : iterable of Input
+            All that will be asked for.
+        folder : Path
+            For what is unpacked ahead; must not exist.
+        """
+        brought = [item for item in inputs if item.origin is not None]
+        if not brought:
+            yield None
+            return
+        ledger = self._opened_ledger()
+        with Fetcher(brought, folder, ledger, self._opened_downloads(), self.limits) as fetcher:
+            yield fetcher
+
+    def told(self, inputs: Iterable[Input]) -> Iterator[Input]:
+        """Yield `inputs` with all facts of them, of use where this machine's ledger is not."""
+        for item in inputs:
+            known = None
+            if isinstance(item.origin, MemberOrigin) and item.origin.facts:
+                known = self._opened_ledger().get(FACTS, item.origin.facts)
+            yield replace(item, facts=item.facts.over(Facts.of(known))) if known else item
+
+    def _of_archives(self, paths: Sequence[Path], collection: str | None) -> Iterator[Input]:
+        if not paths:
+            return
+        ledger = self._opened_ledger()
+        beside = {path: meta_chunk(path) for path in paths if not is_meta_chunk(path)}
+        given = {_number(path): path for path in paths if is_meta_chunk(path)}
+        metadata = {path: given.get(_number(path)) or meta for path, meta in beside.items()}
+        every = list(dict.fromkeys([*paths, *(path for path in metadata.values() if path)]))
+        surveys: dict[Path, Survey] = {}
+        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
+            found = pool.map(lambda path: survey(path, ledger, self.limits, self._waiting), every)
+            for path, result in zip(every, found, strict=True):
+                surveys[path] = result
+                self._tell(f"{path}: {len(result.members)} CAD files")
+        for path, meta in metadata.items():
+            if meta is not None:
+                check_metadata(meta, surveys[meta])
+            if surveys[path].damage is None:
+                self.whole.add(archive_id(path, collection))
+            yield from archive_inputs(
+                path, surveys[path], collection, surveys[meta] if meta else None
+            )
+
+    def _of_list(self, path: Path, collection: str | None) -> Iterator[Input]:
+        rows: list[Row] = []
+        for row in read_list(path):
+            if row.problem is None and documents_in(row.address):
+                query = Query.parse(PREFIX + row.address.removeprefix(PREFIX))
+                group = row.values.get("collection") or collection
+                yield from self._of_query(query, group, row)
+            else:
+                rows.append(row)
+        yield from list_inputs(path, rows, collection, self._opened_downloads, self.whole)
+
+    def _of_onshape(self, source: str, collection: str | None) -> list[Input]:
+        return self._of_query(Query.parse(source), collection, None)
+
+    def _of_query(self, query: Query, collection: str | None, row: Row | None) -> list[Input]:
+        facts = row.facts if row else NO_FACTS
+        return onshape_inputs(query, self._opened_onshape(), collection, facts, self._tell)
+
+    def _opened_ledger(self) -> Ledger:
+        with self._lock:
+            if self._ledger is None:
+                self._ledger = self._stack.enter_context(Ledger.open())
+            return self._ledger
+
+    def _opened_downloads(self) -> Downloads:
+        def again(uri: str, into: Path) -> None:
+            self._opened_onshape().fetch_again(uri, into)
+
+        with self._lock:
+            if self._downloads is None:
+                more = {PREFIX.rstrip(":"): again}
+                self._downloads = Downloads(self._opened_ledger(), self.limits, more, self._waiting)
+                self._stack.callback(self._downloads.close)
+            return self._downloads
+
+    def _opened_onshape(self) -> Onshape:
+        with self._lock:
+            if self._onshape is None:
+                keys, base = Keys.from_environment(), base_address()
+                web = Web(wait=self._waiting.wait)
+                self._stack.callback(web.close)
+                self._onshape = Onshape(
+                    OnshapeApi(web, keys, base),
+                    self._opened_ledger(),
+                    self._opened_downloads(),
+                    self.limits,
+                    self._waiting.wait,
+                )
+            return self._onshape
+
+
+def _once(paths: Iterable[Path]) -> list[Path]:
+    """Return the files, without those given a second time."""
+    return list({path.resolve(): path for path in reversed(list(paths))}.values())[::-1]
+
+
+def _number(path: Path) -> str | None:
+    chunk = chunk_of(path)
+    return chunk[0] if chunk else None
+
+
+def _merged(inputs: Iterable[Input]) -> list[Input]:
+    found: dict[tuple[str, str], Input] = {}
+    for item in inputs:
+        twin = found.setdefault((item.collection, item.name), item)
+        if twin is not item and twin.shown != item.shown:
+            raise UsageError(
+                f"{item.shown} and {twin.shown} would both be model {item.collection}/{item.name}; "
+                "ingest one with another --collection"
+            )
+    return sorted(found.values(), key=_order)
+
+
+def _order(item: Input) -> tuple[str, str, int, str]:
+    """Return what inputs are sorted by: an archive is best read in its own order."""
+    if isinstance(item.origin, MemberOrigin):
+        return item.collection, str(item.origin.archive), item.origin.place, item.name
+    return item.collection, "", 0, item.name
