@@ -6,11 +6,15 @@ process to its parent.
 
 import gmsh
 import OCP
+import pyarrow
 
 import breplake.ingest.worker
 from breplake.ingest.orphans import die_with_parent
 
-__all__ = ["OCP", "breplake", "gmsh"]
+__all__ = ["OCP", "breplake", "gmsh", "pyarrow"]
+
+# At its first array pyarrow imports pandas, if that is installed: a third of a second.
+pyarrow.array([0])
 
 # The fork server, and with it the workers, is not to outlive a run that was killed.
 die_with_parent()
