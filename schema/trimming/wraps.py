@@ -86,8 +86,9 @@ def _winding_beside(
     """Return how often the images wind around a point just to the left of an arc."""
     point, along, _ = outlines.evaluate(arc.curve, arc.t.mean(axis=0))
     size = window[1::2] - window[::2]
+    size = np.where(size > 0, size, 1.0)  # of a patch that is no wider than a line
     left = np.array([-along[1, 0] / size[1], along[0, 0] / size[0]])  # in units of the window
-    left *= np.sign(arc.t[1, 0] - arc.t[0, 0]) / np.linalg.norm(left)
+    left *= np.sign(arc.t[1, 0] - arc.t[0, 0]) / (np.linalg.norm(left) or 1.0)
     probe = point[:, 0] + arc.shift[:, 0] + _BESIDE * size * left
     turns = np.floor((probe - window[::2]) / np.where(span > 0, span, np.inf))
     probe = probe - turns * span
