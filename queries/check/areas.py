@@ -13,9 +13,9 @@ from breplake.schema.trimming.patches import TrimmedPatches
 
 __all__: list[str] = []
 
-_SWEPT: Final = 1e-4
-"""Share of a patch's area by which Open CASCADE's own quadrature may be off: on swept splines it
-is by up to 2e-5, as fine meshes show."""
+_QUADRATURE: Final = 1e-4
+"""Share of a patch's area by which Open CASCADE's quadrature may be off. The area of a swept patch
+is ours, so that only the rule ``patch-area``, by the mesh, judges it independently."""
 
 _TINY: Final = 1e-7
 """Share of the squared diagonal below which areas say nothing."""
@@ -38,7 +38,7 @@ def trimmed_areas(view: ModelView) -> Iterator[Measure]:
     trimmed = TrimmedPatches.from_tables(**{name: view.table(name) for name in names})
     known = np.flatnonzero(trimmed.known)
     area = view.floats("patches", "area")
-    room = _SWEPT * np.abs(area) + _TINY * view.diagonal**2 + _doubt(view)
+    room = _QUADRATURE * np.abs(area) + _TINY * view.diagonal**2 + _doubt(view)
     away = np.abs(trimmed.area() - area)
     yield Measure(away[known], room[known], lambda i: f"patch {known[i]}")
 
