@@ -57,6 +57,8 @@ class ShardTask:
         How far archives are trusted.
     work : str, optional
         Folder for what is in the making.
+    models : frozenset of int
+        Those of the inputs that are models of the lake, which stay if they cannot be read.
     """
 
     lake: str
@@ -67,6 +69,7 @@ class ShardTask:
     jobs: int
     limits: Limits = DEFAULT_LIMITS
     work: str | None = None
+    models: frozenset[int] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +79,7 @@ class ShardDone:
     Parameters
     ----------
     inputs : tuple of Input
-        All of the task.
+        Those of the task that are in the files.
     files : list of FileEntry
         The shard's files, which are in the lake.
     tally : Tally
@@ -105,14 +108,16 @@ def run_shard(task: ShardTask) -> ShardDone:
     with Workspace.open(root, task.settings) as workspace, Sources.open(task.limits) as sources:
         results = []
         for result in finished_first(workspace, task.inputs, task.settings, task.jobs, sources):
-            tally.add(result)
+            is_kept = result.is_unread and result.input.model_id in task.models
+            tally.add(result, is_kept=is_kept)
             events.append(entry_of(result))
-            results.append(result)
+            if not is_kept:
+                results.append(result)
         place = {item.model_id: i for i, item in enumerate(task.inputs)}
         results.sort(key=lambda result: place[result.input.model_id])
         desk = store.at_desk(workspace.folder / "desk")
-        files = write_shard(desk, results, task.settings.config_hash)
-    return ShardDone(task.inputs, files, tally, events)
+        files = write_shard(desk, results, task.settings.config_hash) if results else []
+    return ShardDone(tuple(result.input for result in results), files, tally, events)
 
 
 def _lake(task: ShardTask) -> LakeStore:
@@ -147,6 +152,7 @@ def run_shards(
     jobs: int | None,
     stop: Callable[[], bool],
     work: Path | None,
+    models: frozenset[int] = frozenset(),
 ) -> Iterator[ShardDone]:
     """Ingest shards on a cluster and yield them as they are done.
 
@@ -169,6 +175,8 @@ def run_shards(
         Asked about twice a second; once it returns True the shards in work are given up.
     work : Path, optional
         Folder for what is in the making, on each node.
+    models : frozenset of int
+        Those of the inputs that are models of the lake, which stay if they cannot be read.
 
     Raises
     ------
@@ -204,6 +212,7 @@ def run_shards(
                 jobs=jobs,
                 limits=sources.limits,
                 work=None if work is None else str(work.absolute()),
+                models=models & {item.model_id for item in group},
             )
             for group in groups
         ]

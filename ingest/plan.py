@@ -64,12 +64,17 @@ class Plan:
         In the lake already, with the same bytes and settings.
     changed : list of Input
         In the lake with other bytes or settings.
+    unread : list of Input
+        Models of the lake whose input cannot be read now. They are not ingested again, whatever
+        is asked for: a failure would take the place of a model.
     failed : list of Input
         Those of `unchanged` that failed, or that have no mesh.
     todo : list of Input
         To be ingested: the new ones and those to do again.
     redone : frozenset of int
         Model ids of `todo` that the lake has already.
+    models : frozenset of int
+        Those of `redone` that are models, which stay if their input turns out to be unreadable.
     settled : frozenset of int
         Ids of failures in the lake that hold no more: of archives that can be read now, and of
         rows of lists that can be used.
@@ -79,9 +84,11 @@ class Plan:
     new: list[Input]
     unchanged: list[Input]
     changed: list[Input]
+    unread: list[Input] = field(default_factory=list)
     failed: list[Input] = field(default_factory=list)
     todo: list[Input] = field(default_factory=list)
     redone: frozenset[int] = frozenset()
+    models: frozenset[int] = frozenset()
     settled: frozenset[int] = frozenset()
 
 
@@ -111,14 +118,21 @@ def plan(
     new: list[Input] = []
     unchanged: list[Input] = []
     changed: list[Input] = []
+    unread: list[Input] = []
     failed: list[Input] = []
     again: set[int] = set()
+    models: set[int] = set()
     for item, (is_known, is_same, is_complete, only_failed, kinds) in zip(
         inputs, _states(store, inputs, settings.config_hash), strict=True
     ):
         retried = redo.failed and (not redo.kinds or bool(set(redo.kinds) & set(kinds or ())))
         if not is_known:
             new.append(item)
+            continue
+        if not only_failed:
+            models.add(item.model_id)
+        if not only_failed and (item.failure is not None or item.sha256 is None):
+            unread.append(item)
         elif not is_same:
             changed.append(item)
             # Of what only failed before there is nothing to lose: a file that was repaired since,
@@ -138,9 +152,11 @@ def plan(
         new,
         unchanged,
         changed,
+        unread,
         failed,
         todo,
         frozenset(again),
+        frozenset(again & models),
         _failed_before(store, whole),
     )
 

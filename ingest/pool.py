@@ -30,6 +30,9 @@ __all__ = ["Result", "discard", "isolated_pool", "kernels_unavailable", "run_mod
 _AHEAD: Final = 4
 """Tasks waiting for each worker: enough to keep it busy, few enough to stop quickly."""
 
+_BEFORE: Final = ("plan", "fetch", "read")
+"""Stages in which the bytes of an input are got."""
+
 _PAUSE: Final = 0.5
 """Seconds after which a quiet pool looks whether it is to stop."""
 
@@ -59,6 +62,11 @@ class Result:
     def recorded(self) -> bool:
         """Whether the input becomes a row of ``models``."""
         return self.spool.has_record
+
+    @property
+    def is_unread(self) -> bool:
+        """Whether it failed before its file was read, which says nothing about the model."""
+        return not self.recorded and any(f.fatal and f.stage in _BEFORE for f in self.failures)
 
 
 def run_models(

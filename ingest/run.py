@@ -247,7 +247,7 @@ class _Run:
         shards = _Shards(self.plan)
         todo, settings = self.plan.todo, self.settings
         for result in finished_first(self.workspace, todo, settings, jobs, self.sources, stop):
-            self.summary.add(result)
+            self.summary.add(result, is_kept=self._is_kept(result))
             self.journal.result(result)
             self._tell()
             shard = shards.add(result)
@@ -259,14 +259,20 @@ class _Run:
             yield self._written_here(rest)
 
     def _written_here(self, results: list[Result]) -> _Shard:
+        written = [result for result in results if not self._is_kept(result)]
+
         def write() -> list[FileEntry]:
-            return write_shard(self.store, results, self.settings.config_hash)
+            return write_shard(self.store, written, self.settings.config_hash)
 
         def clear() -> None:
             for result in results:
                 discard(result)
 
-        return _Shard([result.input for result in results], write, clear)
+        return _Shard([result.input for result in written], write, clear)
+
+    def _is_kept(self, result: Result) -> bool:
+        """Return whether the lake's model stays: it could not be read, and may be next time."""
+        return result.is_unread and result.input.model_id in self.plan.models
 
     def on_cluster(
         self, address: str | None, jobs: int | None, stop: Callable[[], bool], work: Path | None
@@ -276,7 +282,15 @@ class _Run:
 
         groups = _Shards(self.plan).inputs()
         done_shards = run_shards(
-            self.store, groups, self.settings, self.sources, address, jobs, stop, work
+            self.store,
+            groups,
+            self.settings,
+            self.sources,
+            address,
+            jobs,
+            stop,
+            work,
+            self.plan.models,
         )
         for done in done_shards:
             self.summary.merge(done.tally)
@@ -300,9 +314,10 @@ class _Run:
         )
 
     def _commit(self, shard: _Shard) -> None:
-        redone = self.plan.redone & {item.model_id for item in shard.inputs}
-        snapshot = self._replace(redone, shard.files)
-        self.journal.write("commit", snapshot=snapshot.number, models=len(shard.inputs))
+        if shard.inputs:
+            redone = self.plan.redone & {item.model_id for item in shard.inputs}
+            snapshot = self._replace(redone, shard.files)
+            self.journal.write("commit", snapshot=snapshot.number, models=len(shard.inputs))
         shard.clear()
 
     def _settle(self) -> None:
@@ -326,7 +341,7 @@ class _Run:
 
 
 class _Shard(NamedTuple):
-    """Finished inputs, how their files get into the lake, and what to do once they are there."""
+    """Inputs to commit, how their files get into the lake, and what to do once they are there."""
 
     inputs: Sequence[Input]
     files: Callable[[], list[FileEntry]]

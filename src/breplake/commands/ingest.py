@@ -258,6 +258,13 @@ def _report(out: Console, summary: Summary, lake: str) -> None:
             f"[yellow]{_files(len(left))} not ingested: in the lake with other content "
             f"or settings ({names}{more}); to replace them add --replace"
         )
+    if plan.unread:
+        names = escape(", ".join(item.name for item in plan.unread[:_NAMED]))
+        more = f" and {len(plan.unread) - _NAMED} more" if len(plan.unread) > _NAMED else ""
+        out.print(
+            f"[yellow]{_files(len(plan.unread))} cannot be read now, so the lake's models are "
+            f"kept ({names}{more}): run the command again when they can be read"
+        )
     if not plan.todo:
         out.print("nothing is new" if plan.inputs else "no CAD files found in the sources")
         return
@@ -267,6 +274,11 @@ def _report(out: Console, summary: Summary, lake: str) -> None:
         f"({summary.cpu_seconds:.0f} s of CPU): {summary.n_models} models, "
         f"{summary.n_meshed} of them with mesh and ground truth; {summary.n_fatal} failed"
     )
+    if summary.n_kept:
+        out.print(
+            f"[yellow]{_files(summary.n_kept)} could not be read, so the lake's models are kept: "
+            "run the command again when they can be read"
+        )
     if summary.stopped:
         out.print(
             f"[yellow]stopped with {len(plan.todo) - summary.n_done} left: "
