@@ -59,6 +59,8 @@ class ShardTask:
         Folder for what is in the making.
     models : frozenset of int
         Those of the inputs that are models of the lake, which stay if they cannot be read.
+    retried : frozenset of int
+        Those of which no earlier failure counts.
     """
 
     lake: str
@@ -70,6 +72,7 @@ class ShardTask:
     limits: Limits = DEFAULT_LIMITS
     work: str | None = None
     models: frozenset[int] = frozenset()
+    retried: frozenset[int] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +108,10 @@ def run_shard(task: ShardTask) -> ShardDone:
     store = _lake(task)
     root = work_root(store.storage, Path(task.work) if task.work else None, here=True)
     tally, events = Tally(), []
-    with Workspace.open(root, task.settings) as workspace, Sources.open(task.limits) as sources:
+    with (
+        Workspace.open(root, task.settings, task.inputs, task.retried) as workspace,
+        Sources.open(task.limits) as sources,
+    ):
         results = []
         for result in finished_first(workspace, task.inputs, task.settings, task.jobs, sources):
             is_kept = result.is_unread and result.input.model_id in task.models
@@ -153,6 +159,7 @@ def run_shards(
     stop: Callable[[], bool],
     work: Path | None,
     models: frozenset[int] = frozenset(),
+    retried: frozenset[int] = frozenset(),
 ) -> Iterator[ShardDone]:
     """Ingest shards on a cluster and yield them as they are done.
 
@@ -177,6 +184,8 @@ def run_shards(
         Folder for what is in the making, on each node.
     models : frozenset of int
         Those of the inputs that are models of the lake, which stay if they cannot be read.
+    retried : frozenset of int
+        Those of which no earlier failure counts.
 
     Raises
     ------
@@ -213,6 +222,7 @@ def run_shards(
                 limits=sources.limits,
                 work=None if work is None else str(work.absolute()),
                 models=models & {item.model_id for item in group},
+                retried=retried & {item.model_id for item in group},
             )
             for group in groups
         ]

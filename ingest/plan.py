@@ -75,6 +75,8 @@ class Plan:
         Model ids of `todo` that the lake has already.
     models : frozenset of int
         Those of `redone` that are models, which stay if their input turns out to be unreadable.
+    retried : bool
+        Whether failures are tried again, also those that a run did not live to commit.
     settled : frozenset of int
         Ids of failures in the lake that hold no more: of archives that can be read now, and of
         rows of lists that can be used.
@@ -89,7 +91,18 @@ class Plan:
     todo: list[Input] = field(default_factory=list)
     redone: frozenset[int] = frozenset()
     models: frozenset[int] = frozenset()
+    retried: bool = False
     settled: frozenset[int] = frozenset()
+
+    @property
+    def retry(self) -> frozenset[int]:
+        """Model ids of `todo` of which no earlier failure counts."""
+        return frozenset(item.model_id for item in self.todo) if self.retried else frozenset()
+
+    @property
+    def done(self) -> list[Input]:
+        """Those of `unchanged` that are left as they are."""
+        return [item for item in self.unchanged if item.model_id not in self.redone]
 
 
 def plan(
@@ -157,6 +170,7 @@ def plan(
         todo,
         frozenset(again),
         frozenset(again & models),
+        redo.failed,
         _failed_before(store, whole),
     )
 

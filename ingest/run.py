@@ -161,7 +161,9 @@ def ingest(
         journal = stack.enter_context(Journal.open(log))
         store = LakeStore.open_or_create(lake)
         todo = plan(store, inputs, settings, redo, opened.whole)
-        with Workspace.open(work_root(store.storage, work), settings) as workspace:
+        with Workspace.open(
+            work_root(store.storage, work), settings, todo.todo, todo.retry, todo.done
+        ) as workspace:
             if not store.storage.is_local:
                 store = store.at_desk(workspace.folder / "desk")
             run = _Run(store, todo, settings, workspace, journal, opened, text)
@@ -291,6 +293,7 @@ class _Run:
             stop,
             work,
             self.plan.models,
+            self.plan.retry,
         )
         for done in done_shards:
             self.summary.merge(done.tally)

@@ -131,6 +131,18 @@ class Spool:
         partial.write_text(json.dumps(row()))
         os.replace(partial, folder / _MODEL)
 
+    def is_whole(self) -> bool:
+        """Return whether all that was handed over can be read, after a power cut say."""
+        try:
+            if self._record is not None:
+                self.read_model()
+                for path in self._record.glob("*.arrow"):
+                    pa.feather.read_table(path, memory_map=False)
+            self.read_grids()
+        except (pa.ArrowException, OSError, ValueError):
+            return False
+        return True
+
     def read_model(self) -> dict[str, Any]:
         """Read the row of ``models``.
 
