@@ -22,6 +22,7 @@ from breplake.ingest.journal import Entry, entry_of
 from breplake.ingest.settings import Settings
 from breplake.ingest.shard import write_shard
 from breplake.ingest.sources.limits import DEFAULT_LIMITS, Limits
+from breplake.ingest.sources.origin import MemberOrigin
 from breplake.ingest.sources.resolve import Sources
 from breplake.ingest.tally import Tally
 from breplake.ingest.workspace import Workspace, finished_first, work_root
@@ -140,13 +141,26 @@ def _lake(task: ShardTask) -> LakeStore:
             f"the node {platform.node()} does not see the lake {task.lake}: it must be in object "
             "storage, or in a folder that all nodes share"
         )
-    for item in task.inputs:
-        if item.sha256 is not None and not item.path.exists():
+    for path in _files(task.inputs):
+        if not path.exists():
             raise UsageError(
-                f"the node {platform.node()} does not see {item.path}: sources must be in a folder "
+                f"the node {platform.node()} does not see {path}: sources must be in a folder "
                 "that all nodes share, and stay there"
             )
     return store
+
+
+def _files(inputs: Sequence[Input]) -> list[Path]:
+    """Return the files in which the bytes of inputs are; those of an address are in none."""
+    found: dict[Path, None] = {}
+    for item in inputs:
+        if item.sha256 is None:
+            continue
+        if item.origin is None:
+            found[item.path] = None
+        elif isinstance(item.origin, MemberOrigin):
+            found[item.origin.archive] = None
+    return list(found)
 
 
 def run_shards(

@@ -113,7 +113,12 @@ class Sandbox:
         return pa.ipc.open_stream(pa.py_buffer(answer)[end + 1 :]).read_all()
 
     def _request(self, query: str) -> dict[str, Any]:
-        assert self.lake.root  # raises for a lake elsewhere: the process has no network
+        if not self.lake.store.storage.is_local:
+            name = self.lake.store.storage.name
+            raise UsageError(
+                f"{name} is not a local folder, and queries of others run without a network: copy "
+                f"it to one with breplake pull {name} --lake FOLDER"
+            )
         return {
             "query": query,
             "files": {table: self.lake.sources(table) for table in TABLES},

@@ -6,16 +6,21 @@ import multiprocessing
 import os
 import time
 from dataclasses import replace
+from pathlib import Path
 
 import pyarrow as pa
 import pytest
 
 pytest.importorskip("OCP")
 
+from breplake.errors import UsageError
+from breplake.ingest.cluster import ShardTask, _lake
 from breplake.ingest.failure import Failure
 from breplake.ingest.inputs import Input
 from breplake.ingest.settings import Settings
+from breplake.ingest.sources.origin import MemberOrigin, UriOrigin
 from breplake.ingest.workspace import WORK, Workspace, running, work_root
+from breplake.schema.lake import LakeStore
 from breplake.schema.storage import Storage
 
 SETTINGS = Settings()
@@ -28,7 +33,7 @@ class KilledError(Exception):
 
 
 def item(name):
-    return Input(f"{name}.step", "c", name, "step", 3, name * 64)
+    return Input(Path(f"{name}.step"), "c", name, "step", 3, name * 64)
 
 
 A, B = item("a"), item("b")
@@ -115,3 +120,23 @@ def test_a_record_that_a_power_cut_damaged_is_made_again(tmp_path, file):
 def test_the_cache_is_named_by_one_variable(tmp_path, monkeypatch):
     monkeypatch.setenv("BREPLAKE_CACHE", str(tmp_path / "mine"))
     assert work_root(Storage(tmp_path), here=True).parent == tmp_path / "mine"
+
+
+def test_a_node_is_asked_only_for_files_it_has_to_read(tmp_path, monkeypatch):
+    store = LakeStore.open_or_create(tmp_path / "lake")
+    archive = tmp_path / "a.zip"
+    of_address = replace(A, origin=UriOrigin("https://example.com/a.step"))
+    of_archive = replace(B, origin=MemberOrigin(archive, 0))
+
+    def seen(*inputs):
+        return _lake(
+            ShardTask(store.storage.name, store.lake_id, str(tmp_path), inputs, SETTINGS, 1)
+        )
+
+    monkeypatch.chdir(tmp_path)
+    seen(of_address)
+    for lacking, path in ((A, A.path), (of_archive, archive)):
+        with pytest.raises(UsageError, match=f"does not see .*{path.name}"):
+            seen(lacking)
+    archive.touch()
+    seen(of_archive)

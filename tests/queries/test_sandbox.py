@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pyarrow as pa
 import pytest
@@ -21,7 +22,7 @@ from breplake.cli import app
 from breplake.errors import BreplakeError, LakeFormatError, LimitError, UsageError
 from breplake.queries.sandbox import Sandbox
 from breplake.queries.session import Lake
-from breplake.schema.storage import folder_hash
+from breplake.schema.storage import Storage, folder_hash
 
 SECRET = "song of the canary"
 
@@ -421,3 +422,10 @@ def test_command(tiny_lake: Path, monkeypatch: pytest.MonkeyPatch):
     assert result.exit_code == 2
     assert "longer than 2 s" in result.stderr
     assert "limits of --sandbox" in run("SELECT 1", "--timeout", "2").stderr
+
+
+def test_a_lake_in_object_storage_is_refused() -> None:
+    """By a check of its own: assertions may be switched off."""
+    elsewhere = SimpleNamespace(store=SimpleNamespace(storage=Storage("http://127.0.0.1:1/lake")))
+    with pytest.raises(UsageError, match="breplake pull http://127.0.0.1:1/lake"):
+        Sandbox(elsewhere).sql("SELECT 1")
