@@ -30,11 +30,11 @@ from breplake.errors import (
     UsageError,
 )
 from breplake.schema.copies import claim, copy_files
-from breplake.schema.files import FileProblem, checked_name, compare, describe
+from breplake.schema.files import FileProblem, checked_name, compare, describe, list_name
 from breplake.schema.identities import IdentityIndex
 from breplake.schema.lock import writer_lock
 from breplake.schema.older import CONTRACT
-from breplake.schema.snapshot import FileEntry, Header, Snapshot
+from breplake.schema.snapshot import ARRAYS_TABLE, FileEntry, Header, Snapshot
 from breplake.schema.storage import Storage, local_folder
 from breplake.schema.tables import SCHEMA_VERSION, TABLES
 from breplake.schema.versions import VersionLog
@@ -334,6 +334,8 @@ class LakeStore:
             If a model or a file is in the head already, or a file to be replaced is not.
         """
         replaced = set(replaces)
+        # Before the snapshot: it must never name files that a power cut would take.
+        self.storage.settle(place for entry in files for place in _places(entry))
         for _ in range(_ATTEMPTS):
             head = self.head()
             old = head.files if head else ()
@@ -400,6 +402,13 @@ class LakeStore:
                 if progress is not None:
                     progress(entry)
         return problems
+
+
+def _places(entry: FileEntry) -> Iterator[str]:
+    """Yield the paths of what a commit adds for an entry, if that is what `register` made."""
+    yield entry.path
+    if entry.table == ARRAYS_TABLE:
+        yield list_name(entry.path)
 
 
 def _check_replaced(replaced: set[str], old: Sequence[FileEntry]) -> None:

@@ -11,7 +11,8 @@ import hashlib
 import os
 import re
 import shutil
-from collections.abc import Iterator
+import uuid
+from collections.abc import Iterable, Iterator
 from datetime import datetime
 from io import BytesIO
 from pathlib import Path, PurePosixPath
@@ -161,11 +162,51 @@ class Storage:
         bool
             False if a document of that name was there before; it is left as it is.
         """
+        if self._local is not None:
+            return self._create_here(self.path(path), data)
         try:
             obstore.put(self.connection, path, data, mode="create")
         except AlreadyExistsError:
             return False
         return True
+
+    def _create_here(self, target: Path, data: bytes) -> bool:
+        """Create a local document as obstore does, but on the disk before it gets its name."""
+        target.parent.mkdir(parents=True, exist_ok=True)
+        staged = target.with_name(f"{target.name}#{uuid.uuid4().int}")
+        try:
+            with staged.open("xb") as file:
+                file.write(data)
+                file.flush()
+                os.fsync(file.fileno())
+            os.link(staged, target)
+        except FileExistsError:
+            return False
+        finally:
+            staged.unlink(missing_ok=True)
+        _sync(target.parent)
+        return True
+
+    def settle(self, paths: Iterable[str]) -> None:
+        """See that files, and folders with all in them, outlast a power cut, if they are local.
+
+        In object storage they do as soon as they are there.
+        """
+        if self._local is None:
+            return
+        folders: dict[Path, None] = {}
+        for path in paths:
+            target = self.path(path)
+            for top, _, names in os.walk(target):
+                folders[Path(top)] = None
+                for name in names:
+                    _sync(Path(top, name))
+            if target.is_file():
+                _sync(target)
+            above = target.parents
+            folders |= dict.fromkeys(p for p in above if p.is_relative_to(self._local))
+        for folder in folders:
+            _sync(folder)
 
     def overwrite(self, path: str, data: bytes) -> None:
         """Write the document `path`, in place of one that is there."""
@@ -326,6 +367,15 @@ class Storage:
         if not absolute.is_relative_to(self.root):
             raise UsageError(f"{path} is not inside the lake {self.root}")
         return absolute.relative_to(self.root).as_posix()
+
+
+def _sync(path: Path) -> None:
+    """Have the disk keep what was written to a file or folder."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 class _Forks:

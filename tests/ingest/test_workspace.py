@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import time
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -41,15 +42,19 @@ A, B = item("a"), item("b")
 
 def killed(root, items, failures=(), settings=SETTINGS, mesh_kind="uniform"):
     """Leave finished records, as a run that was killed does."""
-    with pytest.raises(KilledError), Workspace.open(root, settings, items) as workspace:
+    with suppress(KilledError), Workspace.open(root, settings, items) as workspace:
         for each in items:
-            spool = workspace.spool(each)
-            spool.folder.mkdir()
-            if not failures:
-                tables = {"patches": pa.table({"id": list(range(1000))})}
-                spool.write("mesh", tables, lambda: {"mesh_kind": mesh_kind})
-            workspace.close(each, list(failures))
+            _finish(workspace, each, failures, mesh_kind)
         raise KilledError
+
+
+def _finish(workspace, each, failures, mesh_kind):
+    spool = workspace.spool(each)
+    spool.folder.mkdir()
+    if not failures:
+        tables = {"patches": pa.table({"id": list(range(1000))})}
+        spool.write("mesh", tables, lambda: {"mesh_kind": mesh_kind})
+    workspace.close(each, list(failures))
 
 
 def loop(root, seconds, errors):

@@ -427,5 +427,5 @@ def test_command(tiny_lake: Path, monkeypatch: pytest.MonkeyPatch):
 def test_a_lake_in_object_storage_is_refused() -> None:
     """By a check of its own: assertions may be switched off."""
     elsewhere = SimpleNamespace(store=SimpleNamespace(storage=Storage("http://127.0.0.1:1/lake")))
-    with pytest.raises(UsageError, match="breplake pull http://127.0.0.1:1/lake"):
+    with pytest.raises(UsageError, match=r"breplake pull http://127\.0\.0\.1:1/lake"):
         Sandbox(elsewhere).sql("SELECT 1")
