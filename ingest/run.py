@@ -27,6 +27,7 @@ from breplake.ingest.replace import remainder
 from breplake.ingest.settings import Settings
 from breplake.ingest.shard import SHARD_MODELS, write_shard
 from breplake.ingest.sources.archives import ARCHIVE
+from breplake.ingest.sources.ledger import cache_folder
 from breplake.ingest.sources.limits import Limits
 from breplake.ingest.sources.resolve import Sources
 from breplake.ingest.tally import Tally
@@ -34,6 +35,7 @@ from breplake.ingest.versions import versions
 from breplake.ingest.workspace import Workspace, finished_first, work_root
 from breplake.schema.lake import LakeStore
 from breplake.schema.snapshot import FileEntry, Snapshot
+from breplake.schema.storage import local_folder
 
 __all__ = ["Engine", "Summary", "ingest"]
 
@@ -157,7 +159,7 @@ def ingest(
     with ExitStack() as stack:
         opened = stack.enter_context(Sources.open(limits, tell, stop))
         inputs = opened.find(sources, collection)
-        stack.enter_context(_writable(lake))
+        stack.enter_context(_writable(lake, work))
         journal = stack.enter_context(Journal.open(log))
         store = LakeStore.open_or_create(lake)
         todo = plan(store, inputs, settings, redo, opened.whole)
@@ -184,8 +186,8 @@ _HELP: Final = {
 
 
 @contextmanager
-def _writable(lake: str | Path) -> Iterator[None]:
-    """Turn the file system's refusals in a block into clear errors about the lake."""
+def _writable(lake: str | Path, work: Path | None = None) -> Iterator[None]:
+    """Turn the file system's refusals in a block into clear errors, each about its place."""
     try:
         yield
     except (BaseError, OSError) as error:
@@ -194,10 +196,26 @@ def _writable(lake: str | Path) -> Iterator[None]:
             help_ = "or not be reached: check its address, the credentials and the network"
         if help_ is None or isinstance(error, BreplakeError):
             raise
+        what = _culprit(error, lake, work)
         raise StorageError(
-            f"the lake {lake} cannot be written, {help_} and run the same command "
+            f"{what} cannot be written, {help_} and run the same command "
             f"again; what is committed is whole ({error})"
         ) from error
+
+
+def _culprit(error: Exception, lake: str | Path, work: Path | None) -> str:
+    """Return what an error is about: the lake, unless it names a file elsewhere."""
+    name = error.filename if isinstance(error, OSError) else None
+    folder = local_folder(lake)
+    if not isinstance(name, str) or not Path(name).is_absolute():
+        return f"the lake {lake}"
+    path = Path(name).resolve()
+    if folder is not None and path.is_relative_to(folder.resolve()):
+        return f"the lake {lake}"
+    for place, what in ((work, "--work"), (cache_folder(), "the cache")):
+        if place is not None and path.is_relative_to(place.resolve()):
+            return f"{what} {place}"
+    return name
 
 
 def _number(error: Exception) -> int | None:

@@ -203,6 +203,8 @@ class Storage:
                     _sync(Path(top, name))
             if target.is_file():
                 _sync(target)
+            elif not target.is_dir():
+                continue  # nothing to keep: whoever reads or verifies the lake is told
             above = target.parents
             folders |= dict.fromkeys(p for p in above if p.is_relative_to(self._local))
         for folder in folders:

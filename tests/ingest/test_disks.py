@@ -145,3 +145,26 @@ def test_permission_lost_in_mid_run(parts, tmp_path):
     assert summary.n_resumed >= 1
     assert committed(lake) == 3
     assert not (lake / WORK).exists()
+
+
+@pytest.mark.parametrize(
+    ("file", "named"),
+    [
+        ("lake/work/x/desk", "the lake "),
+        ("cache/downloads/x", "the cache "),
+        ("work/x/desk", "--work "),
+        ("elsewhere/part.step", "elsewhere/part.step cannot"),
+        (None, "the lake "),
+    ],
+)
+def test_the_place_that_refuses_is_named(tmp_path, monkeypatch, file, named):
+    monkeypatch.setenv("BREPLAKE_CACHE", str(tmp_path / "cache"))
+    name = str(tmp_path / file) if file else None
+    with (
+        pytest.raises(StorageError, match="disk is full") as caught,
+        run._writable(tmp_path / "lake", tmp_path / "work"),
+    ):
+        raise OSError(28, "No space left on device", name)
+    said = str(caught.value).partition(", its disk")[0]
+    assert named in said
+    assert ("the lake" in said) == (named == "the lake ")
