@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import hashlib
+from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -29,6 +30,11 @@ def write_csv(path, rows):
         writer.writeheader()
         writer.writerows(rows)
     return path
+
+
+def faulty(path, row):
+    """The name of a row that cannot be used: of two lists of one name, too, no two are the same."""
+    return f"{path.name} {hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]}, row {row}"
 
 
 def find(*sources, **options):
@@ -111,15 +117,55 @@ def test_bad_rows_are_one_failure_each(parts):
     bad = {item.name: item.failure for item in found if item.failure}
     assert {item.name for item in found} - set(bad) == {"good"}
     assert {name: failure.kind for name, failure in bad.items()} == {
-        **{f"list.csv, row {i}": "bad-row" for i in (2, 3, 5, 6, 9, 10, 11)},
+        **{faulty(path, i): "bad-row" for i in (2, 3, 5, 6, 9, 10, 11)},
         "other": "hash-mismatch",
         "gone": "not-a-file",
         "forced": "not-a-file",
         "folder": "not-a-file",
     }
     assert all(failure.fatal and failure.stage == "plan" for failure in bad.values())
-    assert "row 5: it is model list/good, as row 1 is" in bad["list.csv, row 5"].message
+    assert "row 5: it is model list/good, as row 1 is" in bad[faulty(path, 5)].message
     assert not [item for item in found if "secret" in f"{item.shown} {item.failure}"]
+
+
+def test_rows_that_no_parser_likes_are_one_failure_each(parts):
+    path = parts / "list.csv"
+    path.write_text(
+        "path\na.step\nhttp://[bad/x.step\nonshape:https://cad.onshape.com/documents/zzz\n"
+        "onshape:http://[bad\nonshape:public?limit=none\na\0.step\nhttps://me:secret@[x/a.step\n"
+        f"{'x' * 300}.step\n",
+        encoding="utf-8",
+    )
+    found = {item.name: item for item in find(path)}
+    assert len(found) == 8
+    assert found.pop("a").failure is None
+    assert found.pop("x" * 300).failure.kind == "unreadable"
+    assert set(found) == {faulty(path, i) for i in range(2, 8)}
+    assert {item.failure.kind for item in found.values()} == {"bad-row"}
+    assert "secret" not in f"{found}"
+
+
+def test_no_row_of_two_lists_is_lost(tmp_path, parts, serve):
+    """What is shown of an address has no query, which may be all that tells two files apart."""
+    server = serve(lambda _s, _m, path, *_: (200, {}, path.encode()))
+    lists = []
+    for number in (1, 2):
+        folder = tmp_path / f"{number}" / "a"
+        folder.mkdir(parents=True)
+        rows = [
+            {"uri": f"{server.url}/part.step?id={number}"},
+            {"uri": f"{server.url}/same.step?id=0", "sha256": ""},
+            {"uri": "ftp://host/x.step"},
+        ]
+        lists.append(write_csv(folder / "models.csv", rows))
+    found = {item.name: item for item in find(*lists, lists[0])}
+    failed = {name: item.failure.message for name, item in found.items() if item.failure}
+    assert set(found) - set(failed) == {"part", "same"}
+    assert found["part"].sha256 == hashlib.sha256(b"/part.step?id=1").hexdigest()
+    clash = faulty(lists[1], 1)
+    assert set(failed) == {faulty(lists[0], 3), clash, faulty(lists[1], 3)}
+    assert f"it is model models/part, as row 1 of {lists[0]} is" in failed[clash]
+    assert len({item.model_id for item in found.values()}) == 5
 
 
 def test_lists_that_are_none_are_refused(tmp_path):
@@ -136,6 +182,24 @@ def test_lists_that_are_none_are_refused(tmp_path):
     path = tmp_path / "list.parquet"
     path.write_bytes(b"PAR1 not")
     with pytest.raises(UsageError, match="cannot be read"):
+        find(path)
+
+
+def test_headers_are_read_with_care(parts, monkeypatch):
+    path = parts / "list.csv"
+    path.write_text(",path , owner\n0,a.step,Ada\n1, sub/b.igs\n\n", encoding="utf-8")
+    a, b = find(path)
+    assert (a.name, a.facts.owner, a.failure) == ("a", "Ada", None)
+    assert (b.name, b.facts.owner, b.failure) == ("sub/b", None, None)
+    path.write_text("path,owner,owner \na.step,Ada,Bob\n", encoding="utf-8")
+    with pytest.raises(UsageError, match="more than one column owner"):
+        find(path)
+
+    def closed(*_, **__):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "open", closed)
+    with pytest.raises(UsageError, match=r"list\.csv cannot be read: .*Permission denied"):
         find(path)
 
 
