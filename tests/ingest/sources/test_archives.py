@@ -557,6 +557,36 @@ def test_only_a_few_members_are_unpacked_ahead(tmp_path, pack):
         assert len(ahead) <= 8
 
 
+def test_an_archive_is_closed_behind_its_last_member(tmp_path, pack):
+    paths = [pack(tmp_path / f"{n}.zip", {"a.step": b"a", "b.step": b"b"}) for n in "xy"]
+    (tmp_path / "out").mkdir()
+    children = Path(f"/proc/self/task/{os.getpid()}/children")
+    with Sources.open() as opened:
+        items = opened.find(paths)
+        before = children.read_text().split()
+        with opened.fetcher(items, tmp_path / "ahead") as fetcher:
+            for number, item in enumerate(items, 1):
+                got = fetcher.take(item, tmp_path / "out").result(60)
+                assert got.path.read_bytes() == item.name.encode()
+                open_now = set(children.read_text().split()) - set(before)
+                assert len(open_now) == number % 2
+
+
+def test_nobody_waits_for_a_reader_that_talks_nonsense(tmp_path, pack, monkeypatch):
+    path = pack(tmp_path / "a.zip", {"a.step": b"a"})
+    (tmp_path / "out").mkdir()
+
+    def events(_self):
+        yield "done", []
+
+    monkeypatch.setattr(reader.ArchiveReader, "events", events)
+    feed = ArchiveFeed(path, [0], tmp_path / "out", Limits())
+    with pytest.raises(InputError, match="ValueError") as caught:
+        feed.take(0).result(10)
+    feed.close()
+    assert caught.value.kind == "error"
+
+
 def test_an_archive_that_changed_meanwhile_is_noticed(tmp_path, pack):
     path = pack(tmp_path / "a.zip", FILES)
     found = by_member(find(path))
