@@ -232,7 +232,7 @@ class Sources:
         with self._lock:
             if self._onshape is None:
                 keys, base = Keys.from_environment(), base_address()
-                web = Web(wait=self._waiting.wait)
+                web = Web(wait=self._waiting.wait, check=self._waiting.check)
                 self._stack.callback(web.close)
                 self._onshape = Onshape(
                     OnshapeApi(web, keys, base),

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import gzip
 import hashlib
+import socket
+import socketserver
+import ssl
+import threading
 from pathlib import Path
+from typing import ClassVar
 
+import obstore
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -301,6 +309,88 @@ def test_what_fails_for_good_is_one_failure(tmp_path, downloads, serve):
     with pytest.raises(InputError, match=r"127\.0\.0\.1:1/a\.step") as caught:
         downloads.find_out("http://127.0.0.1:1/a.step")
     assert caught.value.kind == "download-failed"
+
+
+@pytest.mark.parametrize("address", ["http://h:99999/a.step?key=secret", "http://a b/x.step"])
+def test_what_is_no_address_is_told_at_once(downloads, address):
+    with pytest.raises(InputError, match="it is no address") as caught:
+        downloads.find_out(address)
+    assert caught.value.kind == "download-failed"
+    assert "secret" not in str(caught.value)
+
+
+def test_unknown_hosts_and_false_certificates_are_not_tried_again(downloads, serve, monkeypatch):
+    calls = []
+
+    def unknown(*_, **__):
+        calls.append("look-up")
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    def false(*_, **__):
+        calls.append("handshake")
+        raise ssl.SSLCertVerificationError("certificate has expired")
+
+    server = serve(lambda *_: (200, {}, STEP))
+    monkeypatch.setattr(ssl.SSLContext, "wrap_socket", false)
+    with pytest.raises(InputError, match="certificate has expired"):
+        downloads.find_out(server.url.replace("http:", "https:") + "/a.step")
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    with pytest.raises(InputError, match="Name or service not known"):
+        downloads.find_out("http://nowhere.invalid/a.step")
+    assert calls == ["handshake", "look-up"]
+
+
+def test_nobody_waits_longer_than_five_minutes(downloads, serve):
+    server = serve(lambda *_: (503, {"Retry-After": "3600"}, b""))
+    with pytest.raises(InputError, match="answers 503, and the next try, in 3600 s, is too late"):
+        downloads.find_out(f"{server.url}/a.step")
+    assert len(server.asked) == 1
+
+
+def test_the_body_of_an_excuse_may_have_no_end():
+    class Endless(socketserver.BaseRequestHandler):
+        def handle(self):
+            self.request.recv(2**16)
+            self.request.sendall(b"HTTP/1.1 503 Busy\r\n\r\n")
+            with contextlib.suppress(OSError):  # the client's end
+                while True:
+                    self.request.sendall(bytes(2**16))
+
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Endless) as server:
+        threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
+        web = Web(backoff=0.001)
+        with pytest.raises(InputError, match="too many 503"):
+            web.ask("GET", f"http://127.0.0.1:{server.server_address[1]}/a.step")
+        web.close()
+        server.shutdown()
+
+
+@pytest.mark.parametrize("encoding", ["gzip", None])
+def test_a_packed_file_stays_packed(tmp_path, serve, encoding):
+    """Many servers call the file's own compression an encoding of the transfer."""
+    packed = gzip.compress(STEP)
+    server = serve(lambda *_: (200, {"Content-Encoding": encoding} if encoding else {}, packed))
+    (item,) = find(write_csv(tmp_path / "l.csv", [{"url": f"{server.url}/a.STEP.gz?v=1"}]))
+    assert item.sha256 == hashlib.sha256(packed).hexdigest()
+    assert fetch(tmp_path, item).path.read_bytes() == packed
+
+
+def test_large_objects_are_told_without_the_query(downloads, monkeypatch, tmp_path):
+    class Large:
+        meta: ClassVar = {"size": 2**62}
+
+    monkeypatch.setattr(obstore, "get", lambda *_, **__: Large)
+    uri = "s3://bucket/a.step?key=secret"
+    with pytest.raises(InputError, match="s3://bucket/a.step has") as caught:
+        downloads.find_out(uri)
+    assert "secret" not in str(caught.value)
+
+    def silent(*_, **__):
+        raise ValueError
+
+    monkeypatch.setattr(obstore, "get", silent)
+    with pytest.raises(InputError, match="s3://bucket/a.step: ValueError"):
+        downloads.find_out(uri)
 
 
 def test_large_answers_are_cut_short(serve):
