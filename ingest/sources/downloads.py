@@ -208,7 +208,9 @@ class Downloads:
         except (BaseError, FileNotFoundError, PermissionError, ValueError) as error:
             if isinstance(error, InputError):
                 raise
-            raise download_failed(uri, next(iter(str(error).splitlines()), type(error).__name__)) from error
+            raise download_failed(
+                uri, next(iter(str(error).splitlines()), type(error).__name__)
+            ) from error
         etag = result.meta["e_tag"]
         return {"etag": etag} if etag else {}
 

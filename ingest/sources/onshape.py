@@ -79,7 +79,8 @@ class Query:
             parts = urlsplit(source.removeprefix(PREFIX))
         except ValueError as error:
             raise UsageError(
-                f"the address behind {PREFIX} cannot be understood ({error}); copy it from a browser"
+                f"the address behind {PREFIX} cannot be understood ({error}); "
+                "copy it from a browser"
             ) from error
         options = {name: values[-1] for name, values in parse_qs(parts.query).items()}
         by_studio = options.pop("by", "part")

@@ -270,7 +270,9 @@ def _redirected(origin: str, there: str) -> str:
     target = urljoin(origin, there)
     before, after = urlsplit(origin).scheme, urlsplit(target).scheme
     if after not in ("http", "https") or (before == "https" and after == "http"):
-        raise download_failed(origin, f"it redirects from {before} to {after}, which is not followed")
+        raise download_failed(
+            origin, f"it redirects from {before} to {after}, which is not followed"
+        )
     return target
 
 

@@ -381,7 +381,7 @@ def test_large_objects_are_told_without_the_query(downloads, monkeypatch, tmp_pa
 
     monkeypatch.setattr(obstore, "get", lambda *_, **__: Large)
     uri = "s3://bucket/a.step?key=secret"
-    with pytest.raises(InputError, match="s3://bucket/a.step has") as caught:
+    with pytest.raises(InputError, match=r"s3://bucket/a\.step has") as caught:
         downloads.find_out(uri)
     assert "secret" not in str(caught.value)
 
@@ -389,7 +389,7 @@ def test_large_objects_are_told_without_the_query(downloads, monkeypatch, tmp_pa
         raise ValueError
 
     monkeypatch.setattr(obstore, "get", silent)
-    with pytest.raises(InputError, match="s3://bucket/a.step: ValueError"):
+    with pytest.raises(InputError, match=r"s3://bucket/a\.step: ValueError"):
         downloads.find_out(uri)
 
 
