@@ -22,7 +22,7 @@ from breplake.ingest.failure import advise
 from breplake.ingest.sources.ledger import Ledger
 from breplake.ingest.sources.limits import Limits
 from breplake.ingest.sources.waiting import Waiting
-from breplake.ingest.sources.web import Web, public_address
+from breplake.ingest.sources.web import Web, download_failed, public_address
 
 __all__ = ["SCHEMES", "Download", "Downloads"]
 
@@ -182,12 +182,12 @@ class Downloads:
         if answer.status == 304 and version:
             return None
         if answer.status != 200:
-            raise _failed(uri, f"the server answers {answer.status}")
+            raise download_failed(uri, f"the server answers {answer.status}")
         return {name: value for name in names if (value := answer.headers.get(name))}
 
     def _client(self) -> Web:
         with self._lock:
-            self._web = self._web or Web(self._backoff, self._waiting.wait)
+            self._web = self._web or Web(self._backoff, self._waiting.wait, self._waiting.check)
             return self._web
 
     def _get_object(self, uri: str, into: Path, version: dict[str, str]) -> dict[str, str] | None:
@@ -198,7 +198,7 @@ class Downloads:
             options: Any = {"if_none_match": version["etag"]} if version else None
             result = obstore.get(store, key, options=options)
             if result.meta["size"] > self._limits.member:
-                detail = f"{uri} has {result.meta['size']} bytes"
+                detail = f"{public_address(uri)} has {result.meta['size']} bytes"
                 raise InputError("too-large", advise("too-large", detail))
             with into.open("wb") as file:
                 for block in result.stream(min_chunk_size=_BLOCK):
@@ -208,7 +208,9 @@ class Downloads:
         except (BaseError, FileNotFoundError, PermissionError, ValueError) as error:
             if isinstance(error, InputError):
                 raise
-            raise _failed(uri, str(error).splitlines()[0]) from error
+            raise download_failed(
+                uri, next(iter(str(error).splitlines()), type(error).__name__)
+            ) from error
         etag = result.meta["e_tag"]
         return {"etag": etag} if etag else {}
 
@@ -223,8 +225,3 @@ def _hashed(path: Path) -> Download:
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
         return Download(digest, file.tell())
-
-
-def _failed(uri: str, detail: str) -> InputError:
-    message = advise("download-failed", f"{public_address(uri)}: {detail}")
-    return InputError("download-failed", message)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, Protocol
 
-__all__ = ["ARCHIVES", "Damage", "Entry", "Taker", "archive_format", "archive_stem"]
+__all__ = ["ARCHIVES", "Damage", "Entry", "Taker", "archive_format", "archive_stem", "damage_of"]
 
 ARCHIVES: Final[dict[str, str]] = {
     ".zip": "zip",
@@ -78,6 +79,23 @@ class Damage(Exception):
         super().__init__(detail)
         self.kind = kind
         self.detail = detail
+
+
+_OF_BYTES: Final = (None, errno.EINVAL, errno.EOVERFLOW)
+"""Codes of errors that wrong bytes cause: offsets to where no file has anything, say."""
+
+
+def damage_of(error: Exception) -> Damage:
+    """Return what an error while an archive is read says of it: its bytes are bad, or the disk is.
+
+    Parameters
+    ----------
+    error : Exception
+        Of the parser, or of the file below it.
+    """
+    if isinstance(error, OSError) and error.errno not in _OF_BYTES:
+        return Damage("unreadable", error.strerror or str(error))
+    return Damage("bad-archive", str(error) or type(error).__name__)
 
 
 class Taker(Protocol):

@@ -87,6 +87,8 @@ class ArchiveFeed:
             self._fail_rest("refused", str(error))
         except BreplakeError as error:
             self._fail_rest("bad-archive", str(error))
+        except Exception as error:  # whoever waits for a member would wait for ever
+            self._fail_rest("error", f"{type(error).__name__}: {error}")
         else:
             self._fail_rest("bad-archive", "the archive lacks this member")
 

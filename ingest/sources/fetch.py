@@ -6,7 +6,9 @@ import shutil
 from collections.abc import Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
+from itertools import count
 from pathlib import Path
+from threading import Lock
 from types import TracebackType
 from typing import Final, Protocol
 
@@ -65,8 +67,10 @@ class Fetcher:
         for item in inputs:
             if isinstance(item.origin, MemberOrigin) and item.failure is None:
                 self._wanted.setdefault(item.origin.archive, []).append(item.origin.place)
-        self._left = {archive: len(places) for archive, places in self._wanted.items()}
+        self._left = {archive: set(places) for archive, places in self._wanted.items()}
         self._feeds: dict[Path, ArchiveFeed] = {}
+        self._numbers = count()
+        self._lock = Lock()
         self._pool = ThreadPoolExecutor(_AT_ONCE)
 
     def __enter__(self) -> Fetcher:
@@ -82,7 +86,9 @@ class Fetcher:
 
     def close(self) -> None:
         """Stop all that is under way, and remove what was unpacked and not taken."""
-        for feed in self._feeds.values():
+        with self._lock:
+            feeds, self._feeds = self._feeds, {}
+        for feed in feeds.values():
             feed.close()
         self._pool.shutdown(cancel_futures=True)
         shutil.rmtree(self._folder, ignore_errors=True)
@@ -111,17 +117,30 @@ class Fetcher:
         raise AssertionError(f"{item.shown} has no origin, so there is nothing to bring")
 
     def _feed(self, archive: Path) -> ArchiveFeed:
-        if archive not in self._feeds:
-            folder = self._folder / str(len(self._feeds))
-            folder.mkdir(parents=True)
-            places = self._wanted[archive]
-            self._feeds[archive] = ArchiveFeed(archive, places, folder, self._limits)
-        return self._feeds[archive]
+        with self._lock:
+            if archive not in self._feeds:
+                folder = self._folder / str(next(self._numbers))
+                folder.mkdir(parents=True)
+                places = self._wanted[archive]
+                self._feeds[archive] = ArchiveFeed(archive, places, folder, self._limits)
+            return self._feeds[archive]
+
+    def _settle(self, origin: MemberOrigin) -> None:
+        """Note that a member was had, or cannot be; the last one ends the archive's process."""
+        with self._lock:
+            left = self._left[origin.archive]
+            left.discard(origin.place)
+            feed = None if left else self._feeds.pop(origin.archive, None)
+        if feed is not None:
+            feed.close()
 
     def _member(
         self, item: Input, origin: MemberOrigin, member: Future[tuple[Path, str]], target: Path
     ) -> Input:
-        unpacked, sha256 = member.result()
+        try:
+            unpacked, sha256 = member.result()
+        finally:
+            self._settle(origin)
         if sha256 != item.sha256:
             unpacked.unlink()
             detail = f"{origin.archive} changed since it was planned"

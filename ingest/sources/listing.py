@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import csv
+import hashlib
+import os
 import re
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -25,7 +27,7 @@ from breplake.ingest.sources.origin import UriOrigin
 from breplake.ingest.sources.web import public_address
 from breplake.schema.identity import model_id
 
-__all__ = ["LISTS", "Row", "list_inputs", "read_list"]
+__all__ = ["LISTS", "Row", "Taken", "list_inputs", "read_list"]
 
 LISTS: Final = (".csv", ".parquet")
 """Endings of lists, in lower case."""
@@ -73,6 +75,40 @@ class Row:
         return Facts(licence, self.values.get("owner"), self.values.get("source_url"), more)
 
 
+@dataclass(frozen=True, slots=True)
+class _Claim:
+    """A row that took a name first.
+
+    Parameters
+    ----------
+    list : Path
+        Its list.
+    number : int
+        Its place there.
+    address : str
+        Where its file is: the full address, with its query, or the full path.
+    sha256 : str
+        What the row says of its bytes; empty if it does not say.
+    """
+
+    list: Path
+    number: int
+    address: str
+    sha256: str
+
+    def agrees(self, other: _Claim) -> bool:
+        """Whether another row, of another list, asks for the same file."""
+        if self.list == other.list and self.number != other.number:
+            return False
+        return self.address == other.address and (
+            self.sha256 == other.sha256 or not self.sha256 or not other.sha256
+        )
+
+
+Taken = dict[tuple[str, str], _Claim]
+"""The rows of all lists that have a model's collection and name."""
+
+
 def read_list(path: Path) -> Iterator[Row]:
     """Yield the rows of a list.
 
@@ -84,26 +120,33 @@ def read_list(path: Path) -> Iterator[Row]:
     try:
         rows = _read_parquet(path) if path.suffix.lower() == ".parquet" else _read_csv(path)
         yield from rows
-    except (csv.Error, UnicodeDecodeError, pa.ArrowInvalid) as error:
+    except (csv.Error, UnicodeDecodeError, pa.ArrowInvalid, OSError) as error:
         raise UsageError(f"the list {path} cannot be read: {error}") from error
 
 
-def _check_columns(path: Path, columns: Iterable[str]) -> None:
+def _check_columns(path: Path, columns: Sequence[str]) -> None:
     if not set(_ADDRESS) & set(columns):
         raise UsageError(
             f"the list {path} has no column {', '.join(_ADDRESS)}: one of them must say where the "
             f"CAD files are; it has {', '.join(columns) or 'no columns'}"
         )
+    again = sorted({name for name in columns if name and columns.count(name) > 1})
+    if again:
+        raise UsageError(
+            f"the list {path} has more than one column {', '.join(again)}: rename or remove all "
+            "but one, since a row would lose a cell"
+        )
 
 
 def _read_csv(path: Path) -> Iterator[Row]:
     with path.open(encoding="utf-8-sig", newline="") as file:
-        reader = csv.DictReader(file, restkey="", restval=None, strict=True)
-        _check_columns(path, reader.fieldnames or ())
-        for number, cells in enumerate(reader, 1):
-            surplus = cells.pop("", None)
-            values = {name.strip(): cell.strip() for name, cell in cells.items() if cell}
-            values = {name: cell for name, cell in values.items() if cell}
+        reader = csv.reader(file, strict=True)
+        names = [name.strip() for name in next(reader, ())]
+        _check_columns(path, names)
+        for number, cells in enumerate((cells for cells in reader if cells), 1):
+            pairs = zip(names, map(str.strip, cells), strict=False)  # the last cells may lack
+            surplus = len(cells) > len(names)
+            values = {name: cell for name, cell in pairs if name and cell}
             yield Row(number, values, "it has more cells than the header" if surplus else None)
 
 
@@ -128,6 +171,7 @@ def list_inputs(
     collection: str | None,
     downloads: Callable[[], Downloads],
     whole: set[int],
+    taken: Taken,
 ) -> list[Input]:
     """Return the CAD files of a list as inputs, in the order of its rows.
 
@@ -146,8 +190,10 @@ def list_inputs(
         Gives what fetches addresses; only called if there are some.
     whole : set of int
         Takes the ids that rows have as inputs where they cannot be used, of those that can.
+    taken : Taken
+        Of the lists before this one; those of this one are added.
     """
-    names = _Names(path, printable(collection or path.stem or "list"), whole)
+    names = _Names(path, printable(collection or path.stem or "list"), whole, taken)
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         return list(pool.map(lambda row: _input(path, row, names, downloads), names.given(rows)))
 
@@ -155,31 +201,44 @@ def list_inputs(
 class _Names:
     """Gives every row its collection and name."""
 
-    def __init__(self, path: Path, collection: str, whole: set[int]) -> None:
+    def __init__(self, path: Path, collection: str, whole: set[int], taken: Taken) -> None:
         self._path, self._collection, self._whole = path, collection, whole
-        self._used: dict[tuple[str, str], int] = {}
+        self._taken = taken
+        self._real = Path(os.path.realpath(path))
+        # Lists in several folders often have one name, and each has its own row 3.
+        self._mark = hashlib.sha256(os.fsencode(self._real)).hexdigest()[:8]
         self.of: dict[int, tuple[str, str]] = {}
 
     def given(self, rows: Iterable[Row]) -> Iterator[Row]:
         """Yield the rows, whose names then are in `of`; one that has a name again is faulty."""
         for row in rows:
             group = printable(row.values.get("collection") or self._collection)
-            name = printable(row.values.get("name") or _name(row.address))
             problem = row.problem or _problem(row)
+            name = "" if problem else printable(row.values.get("name") or _name(row.address))
             if "/" in group:
                 problem = problem or f"its collection {group!r} holds a slash"
                 group = self._collection
-            first = self._used.get((group, name))
-            if first is not None:
-                problem = problem or f"it is model {group}/{name}, as row {first} is"
-            faulty = printable(f"{self._path.name}, row {row.number}")
+            problem = problem or self._clash(group, name, row)
+            faulty = printable(f"{self._path.name} {self._mark}, row {row.number}")
             if problem:
                 name = faulty
             else:
                 self._whole.add(model_id(group, faulty))
-            self._used[group, name] = row.number
             self.of[row.number] = group, name
             yield replace(row, problem=problem)
+
+    def _clash(self, group: str, name: str, row: Row) -> str | None:
+        """Take a name; return why it cannot be had."""
+        address = row.address
+        if not _is_remote(address):
+            address = os.path.realpath(_local_path(self._path, address))
+        sha256 = row.values.get("sha256", "").lower()
+        claim = _Claim(self._real, row.number, address, sha256)
+        first = self._taken.setdefault((group, name), claim)
+        if first.agrees(claim):
+            return None
+        where = "" if first.list == self._real else f" of {printable(first.list)}"
+        return f"it is model {group}/{name}, as row {first.number}{where} is"
 
 
 def _name(address: str) -> str:
@@ -194,7 +253,12 @@ def _problem(row: Row) -> str | None:
     address = row.address
     if not address:
         return f"it has no {' or '.join(_ADDRESS)}"
-    parts = urlsplit(address)
+    if "\0" in address:
+        return "its address holds a zero byte"
+    try:
+        parts = urlsplit(address)
+    except ValueError as error:
+        return f"its address cannot be understood: {error}"
     scheme = parts.scheme if "://" in address else ""
     if scheme and scheme not in (*SCHEMES, "file"):
         return f"addresses {scheme}:// are not known, only {', '.join((*SCHEMES, 'file'))}"
@@ -219,23 +283,43 @@ def _format(row: Row) -> str | None:
 
 def _input(path: Path, row: Row, names: _Names, downloads: Callable[[], Downloads]) -> Input:
     group, name = names.of[row.number]
-    shown = public_address(row.address) if "://" in row.address else row.address
     if row.problem is not None:
         message = advise("bad-row", f"{path}, row {row.number}: {row.problem}")
         failure = Failure("plan", "bad-row", message, fatal=True)
-        return Input(path, group, name, "list", failure=failure, shown=shown)
+        return Input(path, group, name, "list", failure=failure, shown=_shown(row.address))
+    shown = _shown(row.address)
     kind = _format(row) or "step"
-    scheme = urlsplit(row.address).scheme if "://" in row.address else ""
-    if scheme in SCHEMES:
+    if _is_remote(row.address):
         return _remote(path, row, shown, names, downloads())
     return _local(path, row, group, name, kind)
 
 
+def _shown(address: str) -> str:
+    """Return what may be shown of an address; nothing if it cannot be told what of it is secret."""
+    try:
+        return printable(public_address(address) if "://" in address else address)
+    except ValueError:
+        return ""
+
+
+def _is_remote(address: str) -> bool:
+    return "://" in address and urlsplit(address).scheme in SCHEMES
+
+
+def _local_path(path: Path, address: str) -> Path:
+    """Return the file of a row of the list at `path`."""
+    is_address = address.startswith("file://")
+    return path.parent / (url2pathname(urlsplit(address).path) if is_address else address)
+
+
 def _local(path: Path, row: Row, group: str, name: str, kind: str) -> Input:
-    place = row.address
-    if place.startswith("file://"):
-        place = url2pathname(urlsplit(place).path)
-    item = read_input(path.parent / place, group, name)
+    place = _local_path(path, row.address)
+    try:
+        item = read_input(place, group, name)
+    except OSError as error:  # of looking what it is: a name that is too long, a closed folder
+        message = advise("unreadable", error.strerror or str(error))
+        failure = Failure("plan", "unreadable", message, fatal=True)
+        return Input(place, group, name, kind, failure=failure, facts=row.facts)
     item = replace(item, format=kind, facts=row.facts)
     wanted = row.values.get("sha256", "").lower()
     if wanted and item.sha256 is not None and item.sha256 != wanted:

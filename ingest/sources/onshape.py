@@ -75,8 +75,13 @@ class Query:
         UsageError
             If it is none.
         """
-        address = source.removeprefix(PREFIX)
-        parts = urlsplit(address)
+        try:
+            parts = urlsplit(source.removeprefix(PREFIX))
+        except ValueError as error:
+            raise UsageError(
+                f"the address behind {PREFIX} cannot be understood ({error}); "
+                "copy it from a browser"
+            ) from error
         options = {name: values[-1] for name, values in parse_qs(parts.query).items()}
         by_studio = options.pop("by", "part")
         if by_studio not in ("part", "studio"):
@@ -172,7 +177,11 @@ def _failed(shown: str, group: str, name: str, failure: Failure) -> Input:
 
 def documents_in(address: str) -> bool:
     """Whether an address in a list is one of an Onshape document, with or without the prefix."""
-    return is_onshape(address) or bool(
-        urlsplit(address).netloc == urlsplit(base_address()).netloc
-        and urlsplit(address).path.startswith("/documents/")
-    )
+    if is_onshape(address):
+        return True
+    try:
+        parts = urlsplit(address)
+    except ValueError:  # no address at all
+        return False
+    same = parts.netloc == urlsplit(base_address()).netloc
+    return same and parts.path.startswith("/documents/")

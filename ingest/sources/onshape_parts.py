@@ -176,15 +176,16 @@ class Onshape:
         """
         offset = 0
         while offset < limit:
-            page = self._api.get(
-                "/documents", {"filter": _PUBLIC, "q": text, "offset": offset, "limit": _PAGE}
+            page = _document(
+                self._api.get(
+                    "/documents", {"filter": _PUBLIC, "q": text, "offset": offset, "limit": _PAGE}
+                )
             )
             items = page.get("items") or []
             for item in items[: limit - offset]:
-                workspace = item.get("defaultWorkspace") or {}
-                yield Document(
-                    item["id"], "w" if workspace.get("id") else None, workspace.get("id")
-                )
+                identity = _needed(item, "id")
+                workspace = (item.get("defaultWorkspace") or {}).get("id")
+                yield Document(identity, "w" if workspace else None, workspace)
             offset += len(items)
             if not items or not page.get("next"):
                 return
@@ -206,8 +207,8 @@ class Onshape:
         """
         summary: dict[str, Any] | None = None
         if document.kind is None:
-            summary = self._api.get(f"/documents/{document.id}")
-            workspace = (summary or {}).get("defaultWorkspace") or {}
+            summary = _document(self._api.get(f"/documents/{document.id}"))
+            workspace = summary.get("defaultWorkspace") or {}
             if not workspace.get("id"):
                 detail = f"Onshape document {document.id} has no workspace to read"
                 raise InputError("download-failed", advise("download-failed", detail))
@@ -215,15 +216,16 @@ class Onshape:
         place = f"/d/{document.id}/{document.kind}/{document.version}"
         state = document.version
         if document.kind == "w":
-            state = self._api.get(f"/documents{place}/currentmicroversion")["microversion"]
+            answer = self._api.get(f"/documents{place}/currentmicroversion")
+            state = _needed(answer, "microversion")
         key = f"{place}@{state}"
         known = self._ledger.get(_DOCUMENT, key)
         if known is None:
             known = {
                 "facts": document_facts(
-                    summary or self._api.get(f"/documents/{document.id}")
+                    summary or _document(self._api.get(f"/documents/{document.id}"))
                 ).columns(),
-                "parts": [_kept(part) for part in self._api.get(f"/parts{place}")],
+                "parts": [_kept(part) for part in _array(self._api.get(f"/parts{place}"))],
             }
             self._ledger.put(_DOCUMENT, key, known)
         found = [
@@ -295,10 +297,10 @@ class Onshape:
         answer = self._looked_up(state["translation"]) if "translation" in state else None
         if answer is None:
             answer = self._started(part)
-            self._ledger.put(_PART, part.key, {"translation": answer["id"]})
-        translation = answer["id"]
+            self._ledger.put(_PART, part.key, {"translation": _needed(answer, "id")})
+        translation = _needed(answer, "id")
         pause, waited = _FIRST_LOOK, 0.0
-        while answer["requestState"] == "ACTIVE":
+        while _needed(answer, "requestState") == "ACTIVE":
             if waited >= _PATIENCE:
                 detail = f"Onshape part {part.name!r} is not translated after {waited:.0f} s"
                 raise InputError("download-failed", advise("download-failed", detail))
@@ -337,8 +339,38 @@ class Onshape:
 
 def _kept(part: dict[str, Any]) -> dict[str, Any]:
     """Return what matters of the API's description of a part."""
-    names = ("name", "partId", "elementId", "bodyType", "microversionId")
-    return {name: part.get(name) for name in names}
+    names = ("partId", "elementId", "bodyType", "microversionId")
+    return {name: _needed(part, name) for name in names} | {"name": part.get("name") or ""}
+
+
+def _needed(answer: Any, key: str) -> str:
+    """Return the text of a key without which an answer is of no use.
+
+    Raises
+    ------
+    InputError
+        ``download-failed`` if it is not there.
+    """
+    value = _document(answer).get(key)
+    if isinstance(value, str) and value:
+        return value
+    raise _useless(f"lacks {key!r}")
+
+
+def _document(answer: Any) -> dict[str, Any]:
+    if isinstance(answer, dict):
+        return answer
+    raise _useless(f"is {type(answer).__name__} and no object")
+
+
+def _array(answer: Any) -> list[Any]:
+    if isinstance(answer, list):
+        return answer
+    raise _useless(f"is {type(answer).__name__} and no array")
+
+
+def _useless(why: str) -> InputError:
+    return InputError("download-failed", advise("download-failed", f"Onshape's answer {why}"))
 
 
 def _by_studio(parts: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:

@@ -20,7 +20,7 @@ from breplake.ingest.sources.facts import NO_FACTS, Facts
 from breplake.ingest.sources.fetch import Fetcher
 from breplake.ingest.sources.ledger import Ledger
 from breplake.ingest.sources.limits import Limits
-from breplake.ingest.sources.listing import LISTS, Row, list_inputs, read_list
+from breplake.ingest.sources.listing import LISTS, Row, Taken, list_inputs, read_list
 from breplake.ingest.sources.onshape import (
     PREFIX,
     Query,
@@ -123,6 +123,7 @@ class Sources:
         plain: list[Path] = []
         archives: list[Path] = []
         inputs: list[Input] = []
+        taken: Taken = {}
         for source in sources:
             path = Path(source)
             if is_onshape(str(source)):
@@ -132,7 +133,7 @@ class Sources:
             elif archive_format(path) is not None:
                 archives.append(path)
             elif path.suffix.lower() in LISTS:
-                inputs += self._of_list(path, collection)
+                inputs += self._of_list(path, collection, taken)
             else:
                 plain.append(path)
         inputs += self._of_archives(_once(archives), collection)
@@ -188,16 +189,20 @@ class Sources:
                 path, surveys[path], collection, surveys[meta] if meta else None
             )
 
-    def _of_list(self, path: Path, collection: str | None) -> Iterator[Input]:
+    def _of_list(self, path: Path, collection: str | None, taken: Taken) -> Iterator[Input]:
         rows: list[Row] = []
         for row in read_list(path):
-            if row.problem is None and documents_in(row.address):
-                query = Query.parse(PREFIX + row.address.removeprefix(PREFIX))
+            try:
+                query = _query(row)
+            except UsageError as error:
+                rows.append(replace(row, problem=str(error)))
+                continue
+            if query is not None:
                 group = row.values.get("collection") or collection
                 yield from self._of_query(query, group, row)
             else:
                 rows.append(row)
-        yield from list_inputs(path, rows, collection, self._opened_downloads, self.whole)
+        yield from list_inputs(path, rows, collection, self._opened_downloads, self.whole, taken)
 
     def _of_onshape(self, source: str, collection: str | None) -> list[Input]:
         return self._of_query(Query.parse(source), collection, None)
@@ -227,7 +232,7 @@ class Sources:
         with self._lock:
             if self._onshape is None:
                 keys, base = Keys.from_environment(), base_address()
-                web = Web(wait=self._waiting.wait)
+                web = Web(wait=self._waiting.wait, check=self._waiting.check)
                 self._stack.callback(web.close)
                 self._onshape = Onshape(
                     OnshapeApi(web, keys, base),
@@ -237,6 +242,20 @@ class Sources:
                     self._waiting.wait,
                 )
             return self._onshape
+
+
+def _query(row: Row) -> Query | None:
+    """Return what of Onshape a row asks for; None for other rows.
+
+    Raises
+    ------
+    UsageError
+        If the address is one of Onshape and no query.
+    """
+    base_address()  # should that be wrong, it is not the row's fault
+    if row.problem is not None or not documents_in(row.address):
+        return None
+    return Query.parse(PREFIX + row.address.removeprefix(PREFIX))
 
 
 def _once(paths: Iterable[Path]) -> list[Path]:
@@ -253,12 +272,17 @@ def _merged(inputs: Iterable[Input]) -> list[Input]:
     found: dict[tuple[str, str], Input] = {}
     for item in inputs:
         twin = found.setdefault((item.collection, item.name), item)
-        if twin is not item and twin.shown != item.shown:
+        if twin is not item and not _same(twin, item):
             raise UsageError(
                 f"{item.shown} and {twin.shown} would both be model {item.collection}/{item.name}; "
                 "ingest one with another --collection"
             )
     return sorted(found.values(), key=_order)
+
+
+def _same(a: Input, b: Input) -> bool:
+    """Whether two inputs of one name are one file; what is shown of an address has no query."""
+    return a.shown == b.shown and (a.origin == b.origin or None in (a.origin, b.origin))
 
 
 def _order(item: Input) -> tuple[str, str, int, str]:

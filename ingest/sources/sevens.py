@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from breplake.errors import MissingExtraError
-from breplake.ingest.sources.entry import Damage, Entry, Taker
+from breplake.ingest.sources.entry import Damage, Entry, Taker, damage_of
 from breplake.ingest.sources.limits import Meter
 
 __all__ = ["need_py7zr", "read_7z"]
@@ -50,8 +50,11 @@ def read_7z(path: Path, taker: Taker, meter: Meter) -> None:
         except py7zr.exceptions.PasswordRequired as error:
             raise Damage("encrypted", "") from error
         except _errors(py7zr) as error:
-            detail = f"{error or type(error).__name__}; a 7z file that was cut off looks so"
-            raise Damage("bad-archive", detail) from error
+            damage = damage_of(error)
+            if damage.kind == "bad-archive":
+                detail = f"{damage.detail}; a 7z file that was cut off looks so"
+                raise Damage(damage.kind, detail) from error
+            raise damage from error
         with archive:
             infos = list(archive.files)
             meter.declare(0, len(infos))
@@ -101,7 +104,10 @@ class _Extraction:
             except _Foreign as error:
                 raise error.cause from None
             except _errors(self.py7zr) as error:
-                self._give_up_block(left, str(error) or type(error).__name__)
+                damage = damage_of(error)
+                if damage.kind != "bad-archive":
+                    raise damage from error
+                self._give_up_block(left, damage.detail)
             else:
                 self._check_all_ended(left)
             left = [entry for entry in left if entry.place not in self.ended]

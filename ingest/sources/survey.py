@@ -23,6 +23,9 @@ _KIND: Final = "archive-1"
 _LASTING: Final = ("bad-archive", "encrypted")
 """Damage that lies in the bytes; other may pass."""
 
+_PASSING: Final = "unreadable"
+"""Problem of a member that lies in the disk or the network, not in the bytes."""
+
 FACTS: Final = "facts-1"
 """Kind of the entries with the facts of ABC models, by `facts_key`."""
 
@@ -127,11 +130,17 @@ def survey(path: Path, ledger: Ledger, limits: Limits, waiting: Waiting) -> Surv
     if known is not None:
         return _judged(Survey.of(digest, known), before[0], limits)
     found, facts = _read(path, digest, limits, waiting)
-    lasting = found.damage is None or found.damage[0] in _LASTING
-    if lasting and _state(path) == before:  # else the hash may be that of other bytes
+    if _lasts(found) and _state(path) == before:  # else the hash may be that of other bytes
         ledger.put_all(FACTS, {facts_key(digest, key): value for key, value in facts.items()})
         ledger.put(_KIND, key, found.document())
     return found
+
+
+def _lasts(found: Survey) -> bool:
+    """Whether the bytes of an archive alone decide what was found."""
+    if found.damage is not None and found.damage[0] not in _LASTING:
+        return False
+    return all(member.problem is None or member.problem[0] != _PASSING for member in found.members)
 
 
 def _judged(found: Survey, packed: int, limits: Limits) -> Survey:

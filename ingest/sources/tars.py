@@ -5,6 +5,7 @@ from __future__ import annotations
 import bz2
 import gzip
 import lzma
+import struct
 import tarfile
 import zlib
 from collections.abc import Callable, Iterator
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final, cast
 
 from breplake.errors import RefusedSourceError
-from breplake.ingest.sources.entry import Damage, Entry, Taker
+from breplake.ingest.sources.entry import Damage, Entry, Taker, damage_of
 from breplake.ingest.sources.limits import Meter, hostile_link
 
 __all__ = ["read_tar"]
@@ -39,7 +40,17 @@ _OPENERS: Final[dict[str, Callable[[Any], Any]]] = {
 }
 """What unpacks a tar file, by the last ending of its name."""
 
-_ERRORS: Final = (tarfile.TarError, EOFError, zlib.error, lzma.LZMAError, OSError, ValueError)
+_ERRORS: Final = (
+    tarfile.TarError,
+    zlib.error,
+    lzma.LZMAError,
+    struct.error,
+    EOFError,
+    LookupError,
+    ArithmeticError,
+    ValueError,
+    OSError,
+)
 
 
 def read_tar(path: Path, taker: Taker, meter: Meter) -> None:
@@ -151,4 +162,4 @@ def _attributed() -> Iterator[None]:
     except RefusedSourceError:  # by the meter, while tarfile reads
         raise
     except _ERRORS as error:
-        raise Damage("bad-archive", str(error) or type(error).__name__) from error
+        raise damage_of(error) from error

@@ -137,6 +137,8 @@ def read_archive(request: Request, permits: TextIO, output: TextIO) -> None:
     except OSError as error:
         full = error.errno in (errno.ENOSPC, errno.EDQUOT)
         say("damaged", "disk-full" if full else "unreadable", error.strerror or str(error))
+    except Exception as error:  # no parser is without faults; what was said so far holds
+        say("damaged", "bad-archive", f"{type(error).__name__}: {error}")
     else:
         say("end", meter.expansion)
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ssl
 import time
 from collections.abc import Callable, Iterator, Mapping
+from http.client import HTTPException
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urljoin, urlsplit
@@ -11,7 +13,7 @@ from urllib.parse import urljoin, urlsplit
 from breplake.errors import InputError, MissingExtraError
 from breplake.ingest.failure import advise
 
-__all__ = ["USER_AGENT", "Web", "need_urllib3", "public_address"]
+__all__ = ["USER_AGENT", "Web", "download_failed", "need_urllib3", "public_address"]
 
 USER_AGENT: Final = "breplake"
 """How requests introduce themselves."""
@@ -22,6 +24,9 @@ _TIMEOUT: Final = 60.0
 
 _AGAIN: Final = frozenset({408, 425, 429, 499, 500, 502, 503, 504})
 """Answers that may be better later."""
+
+_PATIENCE: Final = 300.0
+"""Seconds after which an address is given up, and the longest that a server may ask to wait."""
 
 _ATTEMPTS: Final = 8
 _REDIRECTS: Final = 5
@@ -60,13 +65,20 @@ class Web:
     ----------
     backoff : float
         Seconds before the second repetition; each further one waits twice as long. The first
-        comes at once. Where a server says how long to wait, that is obeyed.
+        comes at once. Where a server says how long to wait, that is obeyed, up to five minutes.
     wait : callable
         Waits some seconds.
+    check : callable
+        Asked often; it raises what is to end a request.
     """
 
-    def __init__(self, backoff: float = 1.0, wait: Callable[[float], None] = time.sleep) -> None:
-        self._wait = wait
+    def __init__(
+        self,
+        backoff: float = 1.0,
+        wait: Callable[[float], None] = time.sleep,
+        check: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._wait, self._check = wait, check
         urllib3 = need_urllib3()
         self._errors = urllib3.exceptions
         self._pool = urllib3.PoolManager(
@@ -97,7 +109,10 @@ class Web:
         into: Path | None = None,
         most: int | None = None,
     ) -> Answer:
-        """Send a request until there is an answer that counts.
+        """Send a request until there is an answer that counts, for five minutes at most.
+
+        What cannot be better later is not tried again: an address that is none, a host that has
+        no address, a certificate that is not valid.
 
         Parameters
         ----------
@@ -120,26 +135,51 @@ class Web:
             ``download-failed`` if there is no answer in the end, ``too-large`` if it is too large.
         """
         retry, target = self._retry, url
+        end = time.monotonic() + _PATIENCE
         while True:
+            self._check()
             response, there, error = None, None, None
             try:
                 proof = sign(method, target) if sign else {}
                 response = self._send(method, target, body, {**(headers or {}), **proof})
                 there = response.get_redirect_location()
                 if not there and response.status not in _AGAIN:
-                    return Answer.read(response, into, most)
-                response.drain_conn()
+                    return Answer.read(response, into, most, _is_packed(url), self._check)
+                # Its body may have no end, so the connection is not used again.
+                response.close()
+                response.release_conn()
             except self._errors.HTTPError as caught:
                 response, there, error = None, None, caught
+                if isinstance(caught, ValueError):
+                    raise _no_address(url, caught) from caught
+                if self._is_final(caught):
+                    raise download_failed(url, str(caught)) from caught
+            except InputError:
+                raise
+            except (ValueError, HTTPException) as caught:  # of parts that no request can hold
+                raise _no_address(url, caught) from caught
+            self._check()
             try:
                 retry = retry.increment(method, target, response=response, error=error)
             except self._errors.MaxRetryError as last:
-                raise _failed(url, str(last.reason)) from last
+                raise download_failed(url, str(last.reason)) from last
             if there:
                 target = _redirected(target, there)
             else:
                 asked = retry.get_retry_after(response) if response is not None else None
-                self._wait(asked or retry.get_backoff_time())
+                pause = asked or retry.get_backoff_time()
+                if time.monotonic() + pause > end:
+                    why = error or f"the server answers {response.status if response else ''}"
+                    detail = f"{why}, and the next try, in {pause:.0f} s, is too late"
+                    raise download_failed(url, detail)
+                self._wait(pause)
+
+    def _is_final(self, error: Exception) -> bool:
+        """Whether an error will be the same next time."""
+        if isinstance(error, self._errors.NameResolutionError):
+            return True
+        cause = error.args[0] if error.args else None
+        return isinstance(cause, ssl.SSLCertVerificationError)
 
     def _send(self, method: str, url: str, body: bytes | None, headers: Headers) -> Any:
         return self._pool.request(
@@ -170,38 +210,73 @@ class Answer:
         self.status, self.headers, self.data = status, headers, data
 
     @classmethod
-    def read(cls, response: Any, into: Path | None, most: int | None) -> Answer:
-        """Read a response to its end."""
+    def read(
+        cls,
+        response: Any,
+        into: Path | None,
+        most: int | None,
+        packed: bool,
+        check: Callable[[], None],
+    ) -> Answer:
+        """Read a response to its end.
+
+        Parameters
+        ----------
+        response : urllib3.BaseHTTPResponse
+            What came.
+        into, most
+            See :meth:`Web.ask`.
+        packed : bool
+            Whether the file itself is compressed: a server that calls this an encoding of the
+            transfer means the same compression.
+        check : callable
+            Asked often; it raises what is to end the reading.
+        """
         data = b""
         try:
             if into is None or response.status != 200:
-                data = b"".join(_limited(response, most))
+                data = b"".join(_limited(response, most, packed, check))
             else:
                 with into.open("wb") as file:
-                    file.writelines(_limited(response, most))
+                    file.writelines(_limited(response, most, packed, check))
         except BaseException:
             response.close()  # what is left of the body would be taken for the next answer
             raise
         return cls(response.status, response.headers, data)
 
 
-def _limited(response: Any, most: int | None) -> Iterator[bytes]:
+def _limited(
+    response: Any, most: int | None, packed: bool, check: Callable[[], None]
+) -> Iterator[bytes]:
     size = 0
-    for block in response.stream(_BLOCK):
+    for block in response.stream(_BLOCK, decode_content=not packed):
+        check()
         size += len(block)
         if most is not None and size > most:
             raise InputError("too-large", advise("too-large", f"more than {most} bytes"))
         yield block
 
 
+def _no_address(url: str, error: Exception) -> InputError:
+    # The error's own text may hold the address with its query.
+    return download_failed(url, f"it is no address that can be asked ({type(error).__name__})")
+
+
+def _is_packed(url: str) -> bool:
+    return urlsplit(url).path.lower().endswith(".gz")
+
+
 def _redirected(origin: str, there: str) -> str:
     target = urljoin(origin, there)
     before, after = urlsplit(origin).scheme, urlsplit(target).scheme
     if after not in ("http", "https") or (before == "https" and after == "http"):
-        raise _failed(origin, f"it redirects from {before} to {after}, which is not followed")
+        raise download_failed(
+            origin, f"it redirects from {before} to {after}, which is not followed"
+        )
     return target
 
 
-def _failed(url: str, detail: str) -> InputError:
+def download_failed(url: str, detail: str) -> InputError:
+    """Return the error of an address that cannot be had, without what in it may be secret."""
     message = advise("download-failed", f"{public_address(url)}: {detail}")
     return InputError("download-failed", message)

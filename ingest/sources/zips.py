@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import lzma
 import stat
+import struct
 import zipfile
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from breplake.ingest.sources.entry import Damage, Entry, Taker
+from breplake.ingest.sources.entry import Damage, Entry, Taker, damage_of
 from breplake.ingest.sources.limits import Meter
 
 __all__ = ["read_zip"]
@@ -26,10 +27,16 @@ _ERRORS: Final = (
     zipfile.BadZipFile,
     zlib.error,
     lzma.LZMAError,
+    struct.error,
     EOFError,
-    NotImplementedError,
+    LookupError,
+    ArithmeticError,
+    RuntimeError,
+    ValueError,
     OSError,
 )
+"""What zipfile raises on bytes that are wrong, beside its own error: of names that are no text,
+extra fields that are too short, methods and offsets that do not exist."""
 
 
 def read_zip(path: Path, taker: Taker, meter: Meter) -> None:
@@ -44,8 +51,13 @@ def read_zip(path: Path, taker: Taker, meter: Meter) -> None:
     """
     try:
         archive = zipfile.ZipFile(path)
-    except (zipfile.BadZipFile, OSError, EOFError, ValueError) as error:
-        raise Damage("bad-archive", f"{error}; a zip file that was cut off looks so") from error
+    except _ERRORS as error:
+        damage = damage_of(error)
+        if damage.kind == "bad-archive":
+            raise Damage(
+                damage.kind, f"{damage.detail}; a zip file that was cut off looks so"
+            ) from error
+        raise damage from error
     with archive:
         infos = archive.infolist()
         meter.declare(0, len(infos))
@@ -81,7 +93,8 @@ def _read(
         try:
             block = next(blocks, b"")
         except _ERRORS as error:  # of reading alone: those of the taker are not the archive's
-            taker.failed(entry, "bad-archive", str(error) or type(error).__name__)
+            damage = damage_of(error)
+            taker.failed(entry, damage.kind, damage.detail)
             return
         if not block:
             taker.done(entry)

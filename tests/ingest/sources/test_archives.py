@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import gzip
 import hashlib
 import io
@@ -23,13 +24,13 @@ pytest.importorskip("py7zr")
 
 from breplake.errors import InputError, UsageError
 from breplake.ingest.printable import printable
-from breplake.ingest.sources import reader
+from breplake.ingest.sources import reader, zips
 from breplake.ingest.sources import survey as surveys
 from breplake.ingest.sources.facts import Facts
 from breplake.ingest.sources.feed import ArchiveFeed
 from breplake.ingest.sources.limits import Limits, hostile_link, hostile_name
 from breplake.ingest.sources.resolve import Sources
-from breplake.ingest.sources.unpack import Request
+from breplake.ingest.sources.unpack import Request, read_archive
 
 FORMATS = (".zip", ".tar", ".tar.gz", ".tar.bz2", ".tar.xz", ".tar.zst", ".7z")
 TRUSTING = Limits(expansion=1e6)
@@ -423,6 +424,67 @@ def test_flipped_bits_never_stop_a_run(tmp_path, pack):
 # -- the process, the ledger, the order -------------------------------------------------------
 
 
+def answers(path):
+    """What the process that reads an archive would say."""
+    said = io.StringIO()
+    read_archive(Request(str(path), Limits()), io.StringIO(), said)
+    return [json.loads(line) for line in said.getvalue().splitlines()]
+
+
+def test_no_flipped_byte_of_a_zip_ends_the_reader(tmp_path, pack):
+    """Of names, extra fields, methods and offsets, each with its own error in zipfile."""
+    path = pack(tmp_path / "a.zip", {"grün.step": b"abc" * 9, "b.step": b"def" * 9})
+    whole = path.read_bytes()
+    lasts = set()
+    for place in range(len(whole)):
+        for mask in (0xFF, 0x80, 0x08, 0x01):
+            path.write_bytes(whole[:place] + bytes([whole[place] ^ mask]) + whole[place + 1 :])
+            lasts.add(answers(path)[-1][0])
+    assert lasts == {"end", "damaged", "refused"}
+
+
+def test_an_error_that_nobody_expects_leaves_what_was_read(tmp_path, pack, monkeypatch):
+    path = pack(tmp_path / "a.zip", {"a.step": b"abc", "b.step": b"def"})
+
+    def read(file, entry, info, taker, meter):
+        if entry.place:
+            raise ZeroDivisionError("of a parser")
+        taker.done(entry)
+
+    monkeypatch.setattr(zips, "_read", read)
+    said = answers(path)
+    assert [words[:2] for words in said if words[0] == "done"] == [["done", 0]]
+    assert said[-1] == ["damaged", "bad-archive", "ZeroDivisionError: of a parser"]
+
+
+@pytest.mark.parametrize("ending", [".zip", ".tar", ".tar.gz"])
+def test_a_failing_disk_is_no_fault_of_the_archive(tmp_path, ending, pack, monkeypatch):
+    path = pack(tmp_path / f"a{ending}", {"a.step": b"abc"})
+
+    def read(*_):
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    for reads in (zipfile.ZipExtFile, tarfile.ExFileObject):
+        monkeypatch.setattr(reads, "read", read)
+    assert ["bad", 0, "unreadable", "Input/output error"] in answers(path)
+
+
+def test_what_a_failing_disk_hides_is_looked_up_again(tmp_path, monkeypatch, pack):
+    path = pack(tmp_path / "a.zip", {"a.step": b"abc"})
+
+    class Failing(surveys.ArchiveReader):
+        def events(self):
+            yield "member", [0, "a.step"]
+            yield "bad", [0, "unreadable", "Input/output error"]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(surveys, "ArchiveReader", Failing)
+        (item,) = find(path)
+        assert item.failure.kind == "unreadable"
+    (item,) = find(path)
+    assert item.failure is None
+
+
 def test_a_crash_of_the_reader_is_one_failure(tmp_path, monkeypatch, pack):
     path = pack(tmp_path / "a.zip", FILES)
     crash = 'import os, sys; sys.stdin.readline(); print(\'["member", 0, "a.step"]\', flush=True);'
@@ -493,6 +555,36 @@ def test_only_a_few_members_are_unpacked_ahead(tmp_path, pack):
         assert not wait(futures, 60).not_done
         ahead = list((tmp_path / "ahead").rglob("*.step")) + list((tmp_path / "ahead/0").iterdir())
         assert len(ahead) <= 8
+
+
+def test_an_archive_is_closed_behind_its_last_member(tmp_path, pack):
+    paths = [pack(tmp_path / f"{n}.zip", {"a.step": b"a", "b.step": b"b"}) for n in "xy"]
+    (tmp_path / "out").mkdir()
+    children = Path(f"/proc/self/task/{os.getpid()}/children")
+    with Sources.open() as opened:
+        items = opened.find(paths)
+        before = children.read_text().split()
+        with opened.fetcher(items, tmp_path / "ahead") as fetcher:
+            for number, item in enumerate(items, 1):
+                got = fetcher.take(item, tmp_path / "out").result(60)
+                assert got.path.read_bytes() == item.name.encode()
+                open_now = set(children.read_text().split()) - set(before)
+                assert len(open_now) == number % 2
+
+
+def test_nobody_waits_for_a_reader_that_talks_nonsense(tmp_path, pack, monkeypatch):
+    path = pack(tmp_path / "a.zip", {"a.step": b"a"})
+    (tmp_path / "out").mkdir()
+
+    def events(_self):
+        yield "done", []
+
+    monkeypatch.setattr(reader.ArchiveReader, "events", events)
+    feed = ArchiveFeed(path, [0], tmp_path / "out", Limits())
+    with pytest.raises(InputError, match="ValueError") as caught:
+        feed.take(0).result(10)
+    feed.close()
+    assert caught.value.kind == "error"
 
 
 def test_an_archive_that_changed_meanwhile_is_noticed(tmp_path, pack):

@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
+import gzip
 import hashlib
+import socket
+import socketserver
+import ssl
+import threading
+from pathlib import Path
+from typing import ClassVar
 
+import obstore
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -29,6 +38,11 @@ def write_csv(path, rows):
         writer.writeheader()
         writer.writerows(rows)
     return path
+
+
+def faulty(path, row):
+    """The name of a row that cannot be used: of two lists of one name, too, no two are the same."""
+    return f"{path.name} {hashlib.sha256(str(path.resolve()).encode()).hexdigest()[:8]}, row {row}"
 
 
 def find(*sources, **options):
@@ -111,15 +125,55 @@ def test_bad_rows_are_one_failure_each(parts):
     bad = {item.name: item.failure for item in found if item.failure}
     assert {item.name for item in found} - set(bad) == {"good"}
     assert {name: failure.kind for name, failure in bad.items()} == {
-        **{f"list.csv, row {i}": "bad-row" for i in (2, 3, 5, 6, 9, 10, 11)},
+        **{faulty(path, i): "bad-row" for i in (2, 3, 5, 6, 9, 10, 11)},
         "other": "hash-mismatch",
         "gone": "not-a-file",
         "forced": "not-a-file",
         "folder": "not-a-file",
     }
     assert all(failure.fatal and failure.stage == "plan" for failure in bad.values())
-    assert "row 5: it is model list/good, as row 1 is" in bad["list.csv, row 5"].message
+    assert "row 5: it is model list/good, as row 1 is" in bad[faulty(path, 5)].message
     assert not [item for item in found if "secret" in f"{item.shown} {item.failure}"]
+
+
+def test_rows_that_no_parser_likes_are_one_failure_each(parts):
+    path = parts / "list.csv"
+    path.write_text(
+        "path\na.step\nhttp://[bad/x.step\nonshape:https://cad.onshape.com/documents/zzz\n"
+        "onshape:http://[bad\nonshape:public?limit=none\na\0.step\nhttps://me:secret@[x/a.step\n"
+        f"{'x' * 300}.step\n",
+        encoding="utf-8",
+    )
+    found = {item.name: item for item in find(path)}
+    assert len(found) == 8
+    assert found.pop("a").failure is None
+    assert found.pop("x" * 300).failure.kind == "unreadable"
+    assert set(found) == {faulty(path, i) for i in range(2, 8)}
+    assert {item.failure.kind for item in found.values()} == {"bad-row"}
+    assert "secret" not in f"{found}"
+
+
+def test_no_row_of_two_lists_is_lost(tmp_path, parts, serve):
+    """What is shown of an address has no query, which may be all that tells two files apart."""
+    server = serve(lambda _s, _m, path, *_: (200, {}, path.encode()))
+    lists = []
+    for number in (1, 2):
+        folder = tmp_path / f"{number}" / "a"
+        folder.mkdir(parents=True)
+        rows = [
+            {"uri": f"{server.url}/part.step?id={number}"},
+            {"uri": f"{server.url}/same.step?id=0", "sha256": ""},
+            {"uri": "ftp://host/x.step"},
+        ]
+        lists.append(write_csv(folder / "models.csv", rows))
+    found = {item.name: item for item in find(*lists, lists[0])}
+    failed = {name: item.failure.message for name, item in found.items() if item.failure}
+    assert set(found) - set(failed) == {"part", "same"}
+    assert found["part"].sha256 == hashlib.sha256(b"/part.step?id=1").hexdigest()
+    clash = faulty(lists[1], 1)
+    assert set(failed) == {faulty(lists[0], 3), clash, faulty(lists[1], 3)}
+    assert f"it is model models/part, as row 1 of {lists[0]} is" in failed[clash]
+    assert len({item.model_id for item in found.values()}) == 5
 
 
 def test_lists_that_are_none_are_refused(tmp_path):
@@ -136,6 +190,24 @@ def test_lists_that_are_none_are_refused(tmp_path):
     path = tmp_path / "list.parquet"
     path.write_bytes(b"PAR1 not")
     with pytest.raises(UsageError, match="cannot be read"):
+        find(path)
+
+
+def test_headers_are_read_with_care(parts, monkeypatch):
+    path = parts / "list.csv"
+    path.write_text(",path , owner\n0,a.step,Ada\n1, sub/b.igs\n\n", encoding="utf-8")
+    a, b = find(path)
+    assert (a.name, a.facts.owner, a.failure) == ("a", "Ada", None)
+    assert (b.name, b.facts.owner, b.failure) == ("sub/b", None, None)
+    path.write_text("path,owner,owner \na.step,Ada,Bob\n", encoding="utf-8")
+    with pytest.raises(UsageError, match="more than one column owner"):
+        find(path)
+
+    def closed(*_, **__):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "open", closed)
+    with pytest.raises(UsageError, match=r"list\.csv cannot be read: .*Permission denied"):
         find(path)
 
 
@@ -237,6 +309,88 @@ def test_what_fails_for_good_is_one_failure(tmp_path, downloads, serve):
     with pytest.raises(InputError, match=r"127\.0\.0\.1:1/a\.step") as caught:
         downloads.find_out("http://127.0.0.1:1/a.step")
     assert caught.value.kind == "download-failed"
+
+
+@pytest.mark.parametrize("address", ["http://h:99999/a.step?key=secret", "http://a b/x.step"])
+def test_what_is_no_address_is_told_at_once(downloads, address):
+    with pytest.raises(InputError, match="it is no address") as caught:
+        downloads.find_out(address)
+    assert caught.value.kind == "download-failed"
+    assert "secret" not in str(caught.value)
+
+
+def test_unknown_hosts_and_false_certificates_are_not_tried_again(downloads, serve, monkeypatch):
+    calls = []
+
+    def unknown(*_, **__):
+        calls.append("look-up")
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    def false(*_, **__):
+        calls.append("handshake")
+        raise ssl.SSLCertVerificationError("certificate has expired")
+
+    server = serve(lambda *_: (200, {}, STEP))
+    monkeypatch.setattr(ssl.SSLContext, "wrap_socket", false)
+    with pytest.raises(InputError, match="certificate has expired"):
+        downloads.find_out(server.url.replace("http:", "https:") + "/a.step")
+    monkeypatch.setattr(socket, "getaddrinfo", unknown)
+    with pytest.raises(InputError, match="Name or service not known"):
+        downloads.find_out("http://nowhere.invalid/a.step")
+    assert calls == ["handshake", "look-up"]
+
+
+def test_nobody_waits_longer_than_five_minutes(downloads, serve):
+    server = serve(lambda *_: (503, {"Retry-After": "3600"}, b""))
+    with pytest.raises(InputError, match="answers 503, and the next try, in 3600 s, is too late"):
+        downloads.find_out(f"{server.url}/a.step")
+    assert len(server.asked) == 1
+
+
+def test_the_body_of_an_excuse_may_have_no_end():
+    class Endless(socketserver.BaseRequestHandler):
+        def handle(self):
+            self.request.recv(2**16)
+            self.request.sendall(b"HTTP/1.1 503 Busy\r\n\r\n")
+            with contextlib.suppress(OSError):  # the client's end
+                while True:
+                    self.request.sendall(bytes(2**16))
+
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), Endless) as server:
+        threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True).start()
+        web = Web(backoff=0.001)
+        with pytest.raises(InputError, match="too many 503"):
+            web.ask("GET", f"http://127.0.0.1:{server.server_address[1]}/a.step")
+        web.close()
+        server.shutdown()
+
+
+@pytest.mark.parametrize("encoding", ["gzip", None])
+def test_a_packed_file_stays_packed(tmp_path, serve, encoding):
+    """Many servers call the file's own compression an encoding of the transfer."""
+    packed = gzip.compress(STEP)
+    server = serve(lambda *_: (200, {"Content-Encoding": encoding} if encoding else {}, packed))
+    (item,) = find(write_csv(tmp_path / "l.csv", [{"url": f"{server.url}/a.STEP.gz?v=1"}]))
+    assert item.sha256 == hashlib.sha256(packed).hexdigest()
+    assert fetch(tmp_path, item).path.read_bytes() == packed
+
+
+def test_large_objects_are_told_without_the_query(downloads, monkeypatch, tmp_path):
+    class Large:
+        meta: ClassVar = {"size": 2**62}
+
+    monkeypatch.setattr(obstore, "get", lambda *_, **__: Large)
+    uri = "s3://bucket/a.step?key=secret"
+    with pytest.raises(InputError, match=r"s3://bucket/a\.step has") as caught:
+        downloads.find_out(uri)
+    assert "secret" not in str(caught.value)
+
+    def silent(*_, **__):
+        raise ValueError
+
+    monkeypatch.setattr(obstore, "get", silent)
+    with pytest.raises(InputError, match=r"s3://bucket/a\.step: ValueError"):
+        downloads.find_out(uri)
 
 
 def test_large_answers_are_cut_short(serve):

@@ -382,6 +382,33 @@ def test_documents_that_cannot_be_read_are_failures(server, no_waiting):
     assert "private or gone" in item.failure.message
 
 
+@pytest.mark.parametrize(
+    ("route", "answer", "reason"),
+    [
+        ("currentmicroversion", {}, "lacks 'microversion'"),
+        (f"/parts/d/{DOC}", [{"name": "x", "elementId": "e"}], "lacks 'partId'"),
+        (f"/parts/d/{DOC}", {"message": "later"}, "is dict and no array"),
+        (f"/documents/{DOC}", [], "is list and no object"),
+        ("/translations", {"requestState": "ACTIVE"}, "lacks 'id'"),
+        ("/translations/t0", {"id": "t0"}, "lacks 'requestState'"),
+    ],
+)
+def test_answers_that_lack_something_are_failures(
+    server, no_waiting, played, monkeypatch, route, answer, reason
+):
+    def answered(server, method, path, *rest):
+        if urlsplit(path).path.endswith(route) or (route in path and "/parts/" in route):
+            return 200, {}, json.dumps(answer).encode()
+        return played(server, method, path, *rest)
+
+    monkeypatch.setattr(server, "answer", answered)
+    found = find(f"onshape:{server.url}/documents/{DOC}/w/{SPACE}")
+    failed = [item.failure for item in found if item.failure]
+    assert failed
+    assert {failure.kind for failure in failed} == {"download-failed"}
+    assert reason in failed[0].message
+
+
 def test_public_documents_are_listed_page_by_page(onshape, server):
     found = list(onshape.public("gear box", 43))
     assert [document.id for document in found] == [f"{i:024x}" for i in range(43)]
