@@ -33,6 +33,9 @@ _AHEAD: Final = 4
 _BEFORE: Final = ("plan", "fetch", "read")
 """Stages in which the bytes of an input are got."""
 
+_BREAKS: Final = 4
+"""Pools that may break with a model in work before it is to blame."""
+
 _PAUSE: Final = 0.5
 """Seconds after which a quiet pool looks whether it is to stop."""
 
@@ -51,12 +54,18 @@ class Result:
         In order of attempts; the last is fatal if there is no record.
     is_resumed : bool
         Whether an earlier run had finished it.
+    pool : int
+        Number of the pool that it was last given to.
+    breaks : int
+        How many pools broke while they had it.
     """
 
     input: Input
     spool: Spool
     failures: list[Failure] = field(default_factory=list)
     is_resumed: bool = False
+    pool: int = 0
+    breaks: int = 0
 
     @property
     def recorded(self) -> bool:
@@ -106,7 +115,7 @@ def run_models(
     waiting = list(reversed(inputs))
     running: dict[Any, Result] = {}
     fetching: dict[concurrent.futures.Future[Input], Result] = {}
-    pool = isolated_pool(jobs, settings.memory, "breplake ingest")
+    workers = _Workers(jobs, settings)
     try:
         while (waiting or running or fetching) and not stop():
             while waiting and len(running) + len(fetching) < jobs * _AHEAD:
@@ -118,29 +127,92 @@ def run_models(
                 elif fetcher is not None and item.origin is not None:
                     fetching[fetcher.take(item, result.spool.folder)] = result
                 else:
-                    running[_submit(pool, result, settings, 0)] = result
+                    running[workers.submit(result, 0)] = result
             done, _ = concurrent.futures.wait(
                 [*running, *fetching], _PAUSE, return_when="FIRST_COMPLETED"
             )
             for future in done & fetching.keys():
                 result = fetching.pop(future)
                 if _fetched(future, result):
-                    running[_submit(pool, result, settings, 0)] = result
+                    running[workers.submit(result, 0)] = result
                 else:
                     yield result
             for future in done & running.keys():
                 result = running.pop(future)
-                again = _take(future, result, settings)
+                again = workers.recover(result) if _is_broken(future) else None
+                if again is None:
+                    again = _take(future, result, settings)
                 if again is not None:
-                    running[_submit(pool, result, settings, again)] = result
+                    running[workers.submit(result, again)] = result
                 else:
                     _drop_fetched(result)
                     yield result
-    except BrokenExecutor as error:
-        raise kernels_unavailable() from error
+            workers.take_over(running)
     finally:
-        pool.stop()
-        pool.join()
+        workers.stop()
+
+
+class _Workers:
+    """A pool of processes, and the next one if it breaks.
+
+    ``pebble`` gives up a pool, and all its tasks, when a process dies before it has said which
+    task it took. That is rare and no model's fault, so the tasks are given to a new pool.
+    """
+
+    def __init__(self, jobs: int, settings: Settings) -> None:
+        self._jobs, self._settings = jobs, settings
+        self._number = 0
+        self._pool = isolated_pool(jobs, settings.memory, "breplake ingest")
+
+    def submit(self, result: Result, rung: int) -> Any:
+        """Give a model to a process; return its future."""
+        result.spool.start()
+        arguments = [result.input, self._settings, result.spool, rung]
+        try:
+            future = self._pool.schedule(_call, args=arguments, timeout=self._settings.timeout)
+        except RuntimeError:  # the pool broke and nobody knows yet
+            self._renew()
+            future = self._pool.schedule(_call, args=arguments, timeout=self._settings.timeout)
+        result.pool = self._number
+        return future
+
+    def recover(self, result: Result) -> int | None:
+        """Return the rung to try after a pool broke; None if it broke too often with a model.
+
+        Raises
+        ------
+        KernelUnavailableError
+            If no process can start at all.
+        """
+        if result.pool == self._number:
+            self._renew()
+        result.breaks += 1
+        return 0 if result.breaks < _BREAKS else None
+
+    def _renew(self) -> None:
+        if error := kernels_unavailable():
+            raise error
+        self.stop()
+        self._number += 1
+        self._pool = isolated_pool(self._jobs, self._settings.memory, "breplake ingest")
+
+    def take_over(self, running: dict[Any, Result]) -> None:
+        """Take what was given to a pool that is no more, and that it said nothing about."""
+        for future, result in list(running.items()):
+            if result.pool != self._number and not future.done():
+                future.cancel()
+                del running[future]
+                running[self.submit(result, 0)] = result
+
+    def stop(self) -> None:
+        """End all processes; what they have in work is lost."""
+        self._pool.stop()
+        self._pool.join()
+
+
+def _is_broken(future: Any) -> bool:
+    """Return whether a future, which is done, ended with its pool."""
+    return future.cancelled() or isinstance(future.exception(), BrokenExecutor)
 
 
 def _fetched(future: concurrent.futures.Future[Input], result: Result) -> bool:
@@ -207,13 +279,6 @@ def _confine(limit: int) -> None:
     silence()
 
 
-def _submit(pool: Any, result: Result, settings: Settings, rung: int) -> Any:
-    result.spool.start()
-    return pool.schedule(
-        _call, args=[result.input, settings, result.spool, rung], timeout=settings.timeout
-    )
-
-
 def _call(item: Input, settings: Settings, spool: Spool, rung: int) -> list[Failure]:
     from breplake.ingest.worker import Task, work
 
@@ -226,8 +291,8 @@ def _take(future: Any, result: Result, settings: Settings) -> int | None:
 
     try:
         result.failures += future.result()
-    except BrokenExecutor:
-        raise
+    except (BrokenExecutor, concurrent.futures.CancelledError):
+        return _killed(ProcessExpired("the pool broke", code=1), result, settings)
     except (concurrent.futures.TimeoutError, ProcessExpired, MemoryError) as error:
         return _killed(error, result, settings)
     if any(failure.kind == "disk-full" for failure in result.failures):
@@ -264,10 +329,12 @@ def _killed(error: BaseException, result: Result, settings: Settings) -> int | N
     return None
 
 
-def kernels_unavailable() -> KernelUnavailableError:
-    """Find out why no worker can start."""
+def kernels_unavailable() -> KernelUnavailableError | None:
+    """Find out why no worker can start; None if one can."""
     command = [sys.executable, "-P", "-c", "import breplake.ingest.preload"]
     probe = subprocess.run(command, capture_output=True, text=True, check=False)
+    if not probe.returncode:
+        return None
     lines = probe.stderr.strip().splitlines() or ["the workers died without a word"]
     return KernelUnavailableError(
         f"Open CASCADE or Gmsh cannot be loaded: {lines[-1]}. On Debian and Ubuntu: "

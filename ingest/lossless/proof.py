@@ -6,6 +6,7 @@ import concurrent.futures
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
+from breplake.errors import KernelUnavailableError
 from breplake.ingest.lossless.compare import Comparison, compare_model
 from breplake.ingest.lossless.rebuild import ModelTables
 from breplake.ingest.pool import isolated_pool, kernels_unavailable
@@ -60,7 +61,8 @@ def compare_models(
             for future in done:
                 yield _result(future, *running.pop(future), timeout=timeout, memory=memory)
     except concurrent.futures.BrokenExecutor as error:
-        raise kernels_unavailable() from error
+        broke = KernelUnavailableError("the worker processes broke: run the same command again")
+        raise (kernels_unavailable() or broke) from error
     finally:
         pool.stop()
         pool.join()
