@@ -11,6 +11,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass, field, replace
@@ -172,7 +173,14 @@ class _Workers:
             future = self._pool.schedule(_call, args=arguments, timeout=self._settings.timeout)
         except RuntimeError:  # the pool broke and nobody knows yet
             self._renew()
-            future = self._pool.schedule(_call, args=arguments, timeout=self._settings.timeout)
+            try:
+                future = self._pool.schedule(_call, args=arguments, timeout=self._settings.timeout)
+            except BrokenExecutor as error:
+                raise KernelUnavailableError(
+                    f"no worker process can be started ({error.__cause__ or error}): see that "
+                    f"{tempfile.gettempdir()} has a short path and room, and that more processes "
+                    "are allowed"
+                ) from error
         result.pool = self._number
         return future
 
@@ -292,7 +300,8 @@ def _take(future: Any, result: Result, settings: Settings) -> int | None:
     try:
         result.failures += future.result()
     except (BrokenExecutor, concurrent.futures.CancelledError):
-        return _killed(ProcessExpired("the pool broke", code=1), result, settings)
+        broke = ProcessExpired("the pool broke", code=1)  # type: ignore[no-untyped-call]
+        return _killed(broke, result, settings)
     except (concurrent.futures.TimeoutError, ProcessExpired, MemoryError) as error:
         return _killed(error, result, settings)
     if any(failure.kind == "disk-full" for failure in result.failures):
