@@ -392,7 +392,7 @@ class Lake:
         """Sample points on the patches of a model, as trimmed by their loops.
 
         The same arguments give the same points, whatever else is sampled, and the first
-        points of a larger uniform sample are those of a smaller one.
+        points of a larger uniform sample are those of a smaller one, to the last bit or two.
 
         Parameters
         ----------
