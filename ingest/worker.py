@@ -79,6 +79,7 @@ def work(task: Task) -> list[Failure]:
     list of Failure
         Fatal ones leave no record; after others the record holds what was done.
     """
+    task.spool.start()  # a pool that broke may have begun it before
     task.spool.begin(task.input.name)
     clock = StageClock(task.spool.mark)
     failures: list[Failure] = []

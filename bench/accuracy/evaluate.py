@@ -238,43 +238,56 @@ def report(errors: dict[str, Errors]) -> list[str]:
     return [*lines, f"tolerances: {limits}; exceeded: {', '.join(everything.failed) or 'none'}"]
 
 
-def models_of(folder: Path, models: int, per_patch: int) -> Iterator[tuple[str, dict[str, Errors]]]:
-    """Compare the first models that hold patches, each in a process that may crash."""
-    import pebble
-
+def models_of(
+    folder: Path, models: int, per_patch: int, jobs: int
+) -> Iterator[tuple[str, dict[str, Errors]]]:
+    """Compare `models` models that hold patches, the first by hash, each in its own process."""
     from breplake.ingest.inputs import find_inputs
+    from breplake.ingest.processes import Processes
 
     inputs = sorted((i for i in find_inputs([folder]) if i.sha256), key=lambda i: str(i.sha256))
+    in_order, waiting = list(inputs), inputs[::-1]
+    found: dict[str, dict[str, Errors]] = {}
     done = 0
-    with pebble.ProcessPool(max_workers=1) as pool:
-        for item in inputs:
-            if done == models:
-                return
-            task = pool.schedule(_model, [item.path, item.format, per_patch], timeout=1800)
-            try:
-                found = task.result()
-            except (InputError, pebble.ProcessExpired, TimeoutError) as error:
-                typer.echo(f"left out {item.name}: {error}", err=True)
-                continue
-            if found:
-                done += 1
-                yield item.name, found
+    with Processes[str](jobs, 8.0, 1800.0, "this comparison") as processes:
+        while in_order and done < models:
+            while waiting and processes.has_room():
+                item = waiting.pop()
+                processes.begin(item.name, _model, item.path, item.format, per_patch)
+            processes.wait()
+            for ended in processes.ended():
+                found[ended.key] = {} if ended.killed else ended.value
+                if ended.killed or not ended.value:
+                    typer.echo(
+                        f"left out {ended.key}: {ended.killed or 'no patches can be read'}",
+                        err=True,
+                    )
+            while in_order and in_order[0].name in found and done < models:
+                name = in_order.pop(0).name
+                if found[name]:
+                    done += 1
+                    yield name, found[name]
 
 
 def _model(path: Path, format: str, per_patch: int) -> dict[str, Errors]:
+    """Compare one model; nothing if it cannot be read."""
     from breplake.ingest.pointwise import faces_of, patch_geometry
 
-    return compare(*patch_geometry(faces_of(path, format)), per_patch)
+    try:
+        return compare(*patch_geometry(faces_of(path, format)), per_patch)
+    except InputError:
+        return {}
 
 
 def main(
     folder: Annotated[Path, typer.Argument(help="CAD files.", metavar="FOLDER")],
     models: Annotated[int, typer.Option(help="How many models.")] = 100,
     points: Annotated[int, typer.Option(help="Random parameters on each patch.")] = 1000,
+    jobs: Annotated[int, typer.Option(help="Models at a time.")] = 1,
 ) -> None:
     """Compare evaluated patches with Open CASCADE's."""
     found: list[dict[str, Errors]] = []
-    for name, errors in models_of(folder, models, points):
+    for name, errors in models_of(folder, models, points, jobs):
         found.append(errors)
         disputed = sum(one.disputed for one in errors.values())
         typer.echo(f"{sum(e.patches for e in errors.values()):6} {disputed:6} {name}", err=True)

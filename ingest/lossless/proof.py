@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import concurrent.futures
 from collections.abc import Iterator, Mapping
-from typing import Any, Final
 
-from breplake.errors import KernelUnavailableError
 from breplake.ingest.lossless.compare import Comparison, compare_model
 from breplake.ingest.lossless.rebuild import ModelTables
-from breplake.ingest.pool import isolated_pool, kernels_unavailable
+from breplake.ingest.processes import Ended, Processes
 
 __all__ = ["compare_models"]
-
-_AHEAD: Final = 4
-"""Tasks waiting for each worker."""
 
 
 def compare_models(
@@ -49,37 +43,25 @@ def compare_models(
         If no worker can start.
     """
     waiting = list(models.items())[::-1]
-    running: dict[Any, tuple[int, str]] = {}
-    pool = isolated_pool(jobs, memory, "breplake rebuild --compare")
-    try:
-        while waiting or running:
-            while waiting and len(running) < jobs * _AHEAD:
+    need = "breplake rebuild --compare"
+    with Processes[tuple[int, str]](jobs, memory, timeout, need) as processes:
+        while waiting or processes:
+            while waiting and processes.has_room():
                 model_id, name = waiting.pop()
-                task = pool.schedule(compare_model, args=[lake, model_id], timeout=timeout)
-                running[task] = (model_id, name)
-            done, _ = concurrent.futures.wait(running, return_when="FIRST_COMPLETED")
-            for future in done:
-                yield _result(future, *running.pop(future), timeout=timeout, memory=memory)
-    except concurrent.futures.BrokenExecutor as error:
-        broke = KernelUnavailableError("the worker processes broke: run the same command again")
-        raise (kernels_unavailable() or broke) from error
-    finally:
-        pool.stop()
-        pool.join()
+                processes.begin((model_id, name), compare_model, lake, model_id)
+            processes.wait()
+            for ended in processes.ended():
+                yield _result(ended, timeout=timeout, memory=memory)
 
 
-def _result(future: Any, model_id: int, name: str, *, timeout: float, memory: float) -> Comparison:
+def _result(ended: Ended[tuple[int, str]], *, timeout: float, memory: float) -> Comparison:
     """Return what became of a model."""
-    from pebble import ProcessExpired
-
-    try:
-        result: Comparison = future.result()
-    except concurrent.futures.TimeoutError:
-        reason = f"it took longer than {timeout:g} s; more time is given by --timeout"
-    except MemoryError:
-        reason = f"it needs more than {memory:g} GiB of memory"
-    except ProcessExpired as error:
-        reason = f"the CAD kernel crashed (exit code {error.exitcode})"
-    else:
+    if not ended.killed:
+        result: Comparison = ended.value
         return result
-    return Comparison(model_id, name, "failed", [reason])
+    reason = {
+        "time": f"it took longer than {timeout:g} s; more time is given by --timeout",
+        "memory": f"it needs more than {memory:g} GiB of memory",
+        "death": f"the CAD kernel crashed (exit code {ended.exitcode})",
+    }[ended.killed]
+    return Comparison(*ended.key, "failed", [reason])

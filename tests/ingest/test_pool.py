@@ -1,84 +1,64 @@
-"""A pool of processes that breaks is replaced; the models that it had are no worse for it."""
+"""What becomes of a model is its own doing: broken pools and killed servers are not."""
 
-from concurrent.futures import Future
-from concurrent.futures.process import BrokenProcessPool
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from multiprocessing import forkserver
 
 import pytest
 
 pytest.importorskip("pebble")
 
-from breplake.errors import KernelUnavailableError
-from breplake.ingest import pool
 from breplake.ingest.inputs import find_inputs
+from breplake.ingest.pool import run_models
+from breplake.ingest.samples import write_samples
 from breplake.ingest.settings import Settings
 from breplake.ingest.spool import Spool
 
-
-class Pool:
-    """Does every task at once; one that is broken fails or forgets them."""
-
-    def __init__(self, state):
-        self.state = state
-
-    def schedule(self, *_, **__):
-        future = Future()
-        if self.state == "refuses":
-            raise RuntimeError("Unexpected error within the Pool")
-        if self.state == "broken":
-            self.state = "forgets"
-            future.set_exception(BrokenProcessPool("All workers expired"))
-        elif self.state == "whole":
-            future.set_result([])
-        return future
-
-    def stop(self):
-        """Nothing runs."""
-
-    def join(self):
-        """Nothing runs."""
+NAMES = ["ring_o", "base_plate_mm", "hinge", "mug"]
 
 
-@pytest.fixture
-def run(tmp_path, monkeypatch):
-    folder = tmp_path / "in"
-    folder.mkdir()
-    for name in "abc":
-        (folder / f"{name}.step").write_text(name)
+def test_a_killed_fork_server_costs_no_model(tmp_path):
+    write_samples(tmp_path / "in", NAMES)
+    spools = {}
 
-    def run_with(states):
-        states = iter(states)
-        monkeypatch.setattr(pool, "isolated_pool", lambda *_: Pool(next(states)))
-        monkeypatch.setattr(pool, "_PAUSE", 0.01)
+    def spool(item):
+        spools[item.name] = Spool(tmp_path / item.name)
+        return spools[item.name]
 
-        def spool(item):
-            return Spool(tmp_path / item.name)
+    def kill_while_one_is_meshed():
+        server = forkserver._forkserver
+        end = time.monotonic() + 60
+        while time.monotonic() < end:
+            if any(s.folder.exists() and s.stage[0] == "mesh" for s in list(spools.values())):
+                os.kill(server._forkserver_pid, signal.SIGKILL)
+                return
+            time.sleep(0.005)
 
-        return list(pool.run_models(find_inputs([folder]), Settings(), 1, spool))
-
-    return run_with
-
-
-@pytest.mark.parametrize("first", ["broken", "refuses"])
-def test_models_of_a_broken_pool_get_the_next(run, first):
-    results = run([first, "whole"])
-    assert sorted(r.input.name for r in results) == ["a", "b", "c"]
-    assert all(not r.failures for r in results)
-
-
-def test_a_model_with_which_all_pools_break_is_to_blame(run, monkeypatch):
-    monkeypatch.setattr(Pool, "schedule", lambda *_, **__: broken())
-    results = run(["broken"] * 20)
-    assert [[f.kind for f in r.failures] for r in results] == [["worker-died"]] * 3
-    assert all(r.failures[0].fatal for r in results)
+    killer = threading.Thread(target=kill_while_one_is_meshed)
+    killer.start()
+    inputs = find_inputs([tmp_path / "in"])
+    results = list(run_models(inputs, Settings(max_edge=0.05), 2, spool))
+    killer.join()
+    assert sorted(r.input.name for r in results) == sorted(NAMES)
+    assert [r.failures for r in results] == [[]] * len(NAMES)
+    assert all(r.spool.read_model()["mesh_kind"] for r in results)
 
 
-def broken():
-    future = Future()
-    future.set_exception(BrokenProcessPool("All workers expired"))
-    return future
-
-
-def test_no_kernel_ends_the_run(run, monkeypatch):
-    monkeypatch.setattr(pool, "kernels_unavailable", lambda: KernelUnavailableError("no libGL"))
-    with pytest.raises(KernelUnavailableError, match="libGL"):
-        run(["broken", "whole"])
+def test_a_script_needs_no_guard(tmp_path):
+    """Its workers do not run it again, as those of multiprocessing do."""
+    write_samples(tmp_path / "in", ["ring_o"])
+    script = tmp_path / "script.py"
+    script.write_text(
+        "print('top level')\n"
+        "from breplake.ingest.run import ingest\n"
+        f"found = ingest([{str(tmp_path / 'in')!r}], {str(tmp_path / 'lake')!r}, jobs=1)\n"
+        "print(found.n_models, found.n_fatal)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    assert done.stdout.splitlines() == ["top level", "1 0"]

@@ -229,18 +229,16 @@ def test_memory_limit_is_a_failure_and_no_crash(tmp_path):
 
 @pytest.mark.parametrize("stage", ["import", "mesh:uniform", "mesh:tessellation", "truth:uniform"])
 def test_a_crash_is_attributed_and_the_next_rung_follows(tmp_path, stage):
-    import pebble
-
     from breplake.ingest.pool import Result, _killed
+    from breplake.ingest.processes import Ended
     from breplake.ingest.spool import Spool
 
-    error = pebble.ProcessExpired("gone", code=-11)
     (item,) = find_inputs([write_samples(tmp_path / "in", ["ring_o"])[0]])
     result = Result(item, Spool(tmp_path))
     result.spool.start()
     result.spool.begin("a")
     result.spool.mark(stage if ":" in stage else f"{stage}:")
-    again = _killed(error, result, Settings())
+    again = _killed(Ended(result, killed="death", exitcode=-11), Settings())
     assert again == {"import": 2, "mesh:uniform": 1, "truth:uniform": 1}.get(stage)
     (failure,) = result.failures
     assert (failure.kind, failure.signal) == ("killed-signal", 11)

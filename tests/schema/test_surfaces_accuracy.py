@@ -68,9 +68,9 @@ def test_the_report():
 
 @pytest.mark.slow
 @pytest.mark.skipif(not CORPUS.is_dir(), reason="the corpus of CAD files is not here")
-def test_a_hundredmodels_of_of_the_corpus():
+def test_a_hundred_models_of_the_corpus():
     """At 1,000 random parameters on every patch."""
-    found = [errors for _, errors in models_of(CORPUS, 100, 1000)]
+    found = [errors for _, errors in models_of(CORPUS, 100, 1000, 2)]
     errors = total(found)
     assert len(found) == 100
     for one in errors.values():
