@@ -20,6 +20,7 @@ KINDS: Final[dict[str, str]] = {
     "too-large": "no CAD file is that large; check what it is",
     "bad-row": "the row of the list cannot be used; correct it",
     "download-failed": "its bytes could not be fetched; try again later with --retry-failures",
+    "search-failed": "what it would have found is missing; run the same command again later",
     "translation-failed": "Onshape could not write the part as STEP; open it there to see why",
     "hash-mismatch": "its bytes are not those that were announced; check the source",
     "read-failed": "Open CASCADE cannot parse the file; check that it is complete",

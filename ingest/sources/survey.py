@@ -26,6 +26,8 @@ _LASTING: Final = ("bad-archive", "encrypted")
 _PASSING: Final = "unreadable"
 """Problem of a member that lies in the disk or the network, not in the bytes."""
 
+_BLOCK: Final = 2**20
+
 FACTS: Final = "facts-1"
 """Kind of the entries with the facts of ABC models, by `facts_key`."""
 
@@ -118,13 +120,22 @@ def survey(path: Path, ledger: Ledger, limits: Limits, waiting: Waiting) -> Surv
         How far it is trusted.
     waiting : Waiting
         Asked often whether to go on.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        If not.
     """
     try:
         with path.open("rb") as file:
             before = _state(path)
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
+            hashed = hashlib.sha256()
+            while block := file.read(_BLOCK):
+                waiting.check()  # chunks are large, and disks on a network slow
+                hashed.update(block)
     except OSError as error:
         return Survey(None, damage=("unreadable", error.strerror or str(error)))
+    digest = hashed.hexdigest()
     key = f"{digest}/{limits.member}"
     known = ledger.get(_KIND, key)
     if known is not None:
