@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-__all__ = ["KILLED", "KINDS", "STAGES", "Failure", "advise"]
+__all__ = ["KILLED", "KINDS", "STAGES", "Failure", "advise", "detail_of"]
 
 STAGES: Final = ("plan", "fetch", "read", "load", "brep", "import", "mesh", "truth", "write")
 """Stages of a model's way into the lake, in order."""
@@ -88,3 +88,8 @@ class Failure:
 def advise(kind: str, detail: str) -> str:
     """Join what happened and what helps into one message."""
     return f"{detail.rstrip('. ')}: {KINDS[kind]}" if detail else KINDS[kind]
+
+
+def detail_of(kind: str, message: str) -> str:
+    """Return what happened, of a message that `advise` made."""
+    return message.removesuffix(KINDS[kind]).removesuffix(": ")

@@ -16,7 +16,7 @@ from typing import Final
 from urllib.parse import parse_qs, urlencode, urlsplit
 
 from breplake.errors import InputError, UsageError
-from breplake.ingest.failure import KINDS, Failure, advise
+from breplake.ingest.failure import Failure, advise, detail_of
 from breplake.ingest.inputs import Input
 from breplake.ingest.printable import printable
 from breplake.ingest.sources.facts import NO_FACTS, Facts
@@ -176,7 +176,7 @@ def _documents(
         for document in onshape.public(query.text, query.limit):
             found.append(document)  # noqa: PERF402 -- those before an error are kept
     except InputError as error:
-        detail = f"{PREFIX}{name}: {str(error).removesuffix(': ' + KINDS[error.kind])}"
+        detail = f"{PREFIX}{name}: {detail_of(error.kind, str(error))}"
         failed = InputError("search-failed", advise("search-failed", detail))
         return found, [_failed(PREFIX + name, group, name, failed, SEARCH)]
     whole.add(model_id(group, name))

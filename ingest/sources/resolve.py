@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -196,12 +195,15 @@ class Sources:
         given = {_number(path): path for path in paths if is_meta_chunk(path)}
         metadata = {path: given.get(_number(path)) or meta for path, meta in beside.items()}
         every = list(dict.fromkeys([*paths, *(path for path in metadata.values() if path)]))
-        surveys: dict[Path, Survey] = {}
-        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-            found = pool.map(lambda path: survey(path, ledger, self.limits, self._waiting), every)
-            for path, result in zip(every, found, strict=True):
-                surveys[path] = result
-                self._tell(f"{path}: {len(result.members)} CAD files", len(surveys), len(every))
+        hasher, limits, waiting = self._opened_hasher(), self.limits, self._waiting
+
+        def read(path: Path) -> Survey:
+            return survey(path, ledger, limits, waiting, hasher)
+
+        threads = len(os.sched_getaffinity(0))
+        surveys = dict(
+            zip(every, hasher.over(every, read, "reading archives", threads), strict=True)
+        )
         for path, meta in metadata.items():
             if meta is not None:
                 check_metadata(meta, surveys[meta])

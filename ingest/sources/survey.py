@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from breplake.errors import RefusedSourceError
+from breplake.errors import InputError, RefusedSourceError
+from breplake.ingest.failure import detail_of
+from breplake.ingest.hashing import Hasher
 from breplake.ingest.sources.entry import Damage
 from breplake.ingest.sources.ledger import Ledger
 from breplake.ingest.sources.limits import Limits, Meter
@@ -25,8 +26,6 @@ _LASTING: Final = ("bad-archive", "encrypted")
 
 _PASSING: Final = "unreadable"
 """Problem of a member that lies in the disk or the network, not in the bytes."""
-
-_BLOCK: Final = 2**20
 
 FACTS: Final = "facts-1"
 """Kind of the entries with the facts of ABC models, by `facts_key`."""
@@ -107,7 +106,7 @@ def facts_key(archive: str, model: str) -> str:
     return f"{archive}/{model}"
 
 
-def survey(path: Path, ledger: Ledger, limits: Limits, waiting: Waiting) -> Survey:
+def survey(path: Path, ledger: Ledger, limits: Limits, waiting: Waiting, hasher: Hasher) -> Survey:
     """Find out what the archive at `path` holds; its bytes decide whether that is known already.
 
     Parameters
@@ -120,22 +119,16 @@ def survey(path: Path, ledger: Ledger, limits: Limits, waiting: Waiting) -> Surv
         How far it is trusted.
     waiting : Waiting
         Asked often whether to go on.
-
-    Raises
-    ------
-    KeyboardInterrupt
-        If not.
+    hasher : Hasher
+        Reads it for its hash, unless that is remembered.
     """
     try:
-        with path.open("rb") as file:
-            before = _state(path)
-            hashed = hashlib.sha256()
-            while block := file.read(_BLOCK):
-                waiting.check()  # chunks are large, and disks on a network slow
-                hashed.update(block)
+        before = _state(path)
+        digest = hasher.digest([path]).sha256
     except OSError as error:
         return Survey(None, damage=("unreadable", error.strerror or str(error)))
-    digest = hashed.hexdigest()
+    except InputError as error:
+        return Survey(None, damage=(error.kind, detail_of(error.kind, str(error))))
     key = f"{digest}/{limits.member}"
     known = ledger.get(_KIND, key)
     if known is not None:

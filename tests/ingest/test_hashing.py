@@ -7,6 +7,7 @@ import os
 import sqlite3
 import threading
 import time
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -258,3 +259,16 @@ def test_what_cannot_be_looked_at_is_a_failure(tmp_path):
     assert "this is a folder" in failed["dir"].message
     assert "no regular file" in failed["pipe"].message
     assert found["gone"].sha256 is None
+
+
+def test_archives_are_files_too(tmp_path, rested, reads):
+    path = tmp_path / "a.zip"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("a.step", b"x")
+    first = find(path)
+    assert [item.name for item in first] == ["a"]
+    assert find(path) == first
+    assert reads == ["a.zip"]
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("b.step", b"y")
+    assert [item.name for item in find(path)] == ["a", "b"]
