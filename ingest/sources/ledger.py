@@ -2,7 +2,8 @@
 
 Every entry is a fact that cannot change: the hash of a file of given size, inode and times, the
 hashes of the members of an archive of given bytes, the hash of what an address gave under a given
-entity tag, the translation of a part of a given version. Losing the ledger costs time and calls, never correctness. Downloaded files lie beside it.
+entity tag, the translation of a part of a given version. Losing the ledger costs time and calls,
+never correctness. Downloaded files lie beside it.
 """
 
 from __future__ import annotations
