@@ -135,81 +135,110 @@ def extract(canonical: Canonical, labels: Sequence[Label]) -> Brep:
     InputError
         ``no-geometry`` if a face has no surface, ``unbounded`` if something is infinite.
     """
-    from OCP.BRep import BRep_Tool
     from OCP.TopoDS import TopoDS
 
     faces = shape_list(canonical.faces, TopoDS.Face_s)
     edges = shape_list(canonical.edges, TopoDS.Edge_s)
     vertices = shape_list(canonical.vertices, TopoDS.Vertex_s)
-    surfaces = [untrimmed(BRep_Tool.Surface_s(face)) for face in faces]
-    for patch_id, surface in enumerate(surfaces):
-        if surface is None:
-            raise InputError("no-geometry", advise("no-geometry", f"patch {patch_id}"))
+    surfaces = _surfaces(faces)
     names = _names(canonical, labels)
-    part_of = _part_of_patch(canonical, len(faces))
     graph = ShapeGraph(canonical.compound)
     coedges = [use for i, face in enumerate(faces) for use in _coedges(canonical, graph, i, face)]
-    ranges = [_parameter_range(i, face) for i, face in enumerate(faces)]
-    geometry = [surface_row(surface) for surface in surfaces]
-    masses = [surface_mass(face, row) for face, row in zip(faces, geometry, strict=True)]
-    patches = [
-        _patch_row(i, face, part_of[i])
-        | ranges[i]
-        | {"area": float(masses[i].Mass())}
-        | geometry[i]
-        | names["patch", i]
-        | {"shape": graph.number(face)}
-        for i, face in enumerate(faces)
-    ]
+    patches, masses = _patch_rows(canonical, faces, surfaces)
     parts = [
         _part_row(i, part, faces_mass(canonical, part, masses))
         | names["part", i]
         | {"shape": graph.number(part.shape)}
         for i, part in enumerate(canonical.parts)
     ]
-    for patch in patches:
+    for i, patch in enumerate(patches):
+        patch |= names["patch", i] | {"shape": graph.number(faces[i])}
         patch.setdefault("colour", parts[patch["part_id"]].get("colour"))
-    corners = [
-        {
-            "corner_id": i,
-            "point": _xyz(BRep_Tool.Pnt_s(v)),
-            "tolerance": BRep_Tool.Tolerance_s(v),
-            "shape": graph.number(v),
-        }
-        for i, v in enumerate(vertices)
+    table = PATCHES.from_rows({"model_id": 0, **row} for row in patches)
+    roles = _role_rows(edges, coedges, faces, surfaces, table)
+    return Brep(
+        canonical=canonical,
+        faces=faces,
+        edges=edges,
+        vertices=vertices,
+        surfaces=surfaces,
+        parts=parts,
+        patches=patches,
+        curves=[
+            _curve_row(i, edge, canonical) | roles[i] | {"shape": graph.number(edge)}
+            for i, edge in enumerate(edges)
+        ],
+        coedges=coedges,
+        corners=[_corner_row(i, v) | {"shape": graph.number(v)} for i, v in enumerate(vertices)],
+        graph=graph,
+        patch_table=table,
+    )
+
+
+def _surfaces(faces: Sequence[Any]) -> list[Any]:
+    """Return the ``Geom_Surface`` of each face.
+
+    Raises
+    ------
+    InputError
+        ``no-geometry`` if a face has none.
+    """
+    from OCP.BRep import BRep_Tool
+
+    surfaces = [untrimmed(BRep_Tool.Surface_s(face)) for face in faces]
+    for patch_id, surface in enumerate(surfaces):
+        if surface is None:
+            raise InputError("no-geometry", advise("no-geometry", f"patch {patch_id}"))
+    return surfaces
+
+
+def _patch_rows(
+    canonical: Canonical, faces: Sequence[Any], surfaces: Sequence[Any]
+) -> tuple[list[Row], list[Any]]:
+    """Return the row of each patch, and the mass of its surface (``GProp_GProps``)."""
+    part_of = _part_of_patch(canonical, len(faces))
+    ranges = [_parameter_range(i, face) for i, face in enumerate(faces)]
+    geometry = [surface_row(surface) for surface in surfaces]
+    masses = [surface_mass(face, row) for face, row in zip(faces, geometry, strict=True)]
+    rows = [
+        _patch_row(i, face, part_of[i])
+        | ranges[i]
+        | {"area": float(masses[i].Mass())}
+        | geometry[i]
+        for i, face in enumerate(faces)
     ]
+    return rows, masses
+
+
+def _role_rows(
+    edges: Sequence[Any],
+    coedges: Sequence[Coedge],
+    faces: list[Any],
+    surfaces: list[Any],
+    patches: pa.Table,
+) -> list[Row]:
+    """Return what each curve is to its patches."""
     uses: dict[int, list[Coedge]] = defaultdict(list)
     for use in coedges:
         uses[use.curve_id].append(use)
     creases = {i: c for i, edge in enumerate(edges) if (c := _crease(edge, uses[i]))}
-    table = PATCHES.from_rows({"model_id": 0, **row} for row in patches)
-    angles = dict(
-        zip(creases, measure(list(creases.values()), faces, surfaces, table), strict=True)
-    )
-    curves = [
-        _curve_row(i, edge, canonical)
-        | _role_row(edge, uses[i], angles.get(i), faces)
-        | {"shape": graph.number(edge)}
-        for i, edge in enumerate(edges)
-    ]
-    return Brep(
-        canonical,
-        faces,
-        edges,
-        vertices,
-        surfaces,
-        parts,
-        patches,
-        curves,
-        coedges,
-        corners,
-        graph,
-        table,
-    )
+    dihedrals = measure(list(creases.values()), faces, surfaces, patches)
+    angles = dict(zip(creases, dihedrals, strict=True))
+    return [_role_row(edge, uses[i], angles.get(i), faces) for i, edge in enumerate(edges)]
 
 
 def _xyz(point: Any) -> Row:
     return {"x": point.X(), "y": point.Y(), "z": point.Z()}
+
+
+def _corner_row(corner_id: int, vertex: Any) -> Row:
+    from OCP.BRep import BRep_Tool
+
+    return {
+        "corner_id": corner_id,
+        "point": _xyz(BRep_Tool.Pnt_s(vertex)),
+        "tolerance": BRep_Tool.Tolerance_s(vertex),
+    }
 
 
 def _names(canonical: Canonical, labels: Sequence[Label]) -> dict[tuple[str, int], Row]:

@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import platform
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -210,21 +211,8 @@ def run_shards(
     StorageError
         If shards were lost with their nodes time and again; all others are done by then.
     """
-    try:
-        import ray
-    except ImportError as error:
-        raise MissingExtraError("ray", "breplake ingest --engine ray") from error
-    connected = ray.is_initialized()
-    if not connected:
-        ray.init(address=address, log_to_driver=False)
-    try:
-        sizes = _node_sizes(ray)
-        jobs = jobs or min(sizes)
-        if jobs > max(sizes):
-            raise UsageError(
-                f"no node of the cluster has {jobs} processors, the largest has {max(sizes)}: "
-                "lower --jobs"
-            )
+    with _connected(address) as ray:
+        jobs = _jobs_of_a_shard(ray, jobs)
         tasks = [
             ShardTask(
                 lake=store.storage.name,
@@ -241,9 +229,41 @@ def run_shards(
             for group in groups
         ]
         yield from _scheduled(ray, tasks, jobs, stop)
+
+
+@contextmanager
+def _connected(address: str | None) -> Iterator[Any]:
+    """Give the module ``ray``, connected to a cluster; a connection that was there stays."""
+    try:
+        import ray
+    except ImportError as error:
+        raise MissingExtraError("ray", "breplake ingest --engine ray") from error
+    if ray.is_initialized():
+        yield ray
+        return
+    ray.init(address=address, log_to_driver=False)
+    try:
+        yield ray
     finally:
-        if not connected:
-            ray.shutdown()
+        ray.shutdown()
+
+
+def _jobs_of_a_shard(ray: Any, jobs: int | None) -> int:
+    """Return how many worker processes a shard gets, which is no more than some node has room for.
+
+    Raises
+    ------
+    UsageError
+        If no node has room for `jobs`.
+    """
+    sizes = _node_sizes(ray)
+    jobs = jobs or min(sizes)
+    if jobs > max(sizes):
+        raise UsageError(
+            f"no node of the cluster has {jobs} processors, the largest has {max(sizes)}: "
+            "lower --jobs"
+        )
+    return jobs
 
 
 def _node_sizes(ray: Any) -> list[int]:

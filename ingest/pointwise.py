@@ -13,10 +13,10 @@ from breplake.ingest.canonical import canonical, shape_list
 from breplake.ingest.geometry import surface_row, untrimmed
 from breplake.ingest.load import load
 from breplake.schema.jets import SurfacePoints
-from breplake.schema.namespace import Floats
+from breplake.schema.namespace import Bools, Floats, Ints
 from breplake.schema.tables import PATCHES
 
-__all__ = ["adaptor_points", "faces_of", "geometry_points", "patch_geometry"]
+__all__ = ["adaptor_points", "faces_of", "geometry_points", "outside", "patch_geometry"]
 
 _RESOLUTION: Final = 1e-12  # mm; derivatives shorter than this have no direction
 _COLUMNS: Final = pa.schema([field.with_nullable(True) for field in PATCHES.schema])
@@ -89,6 +89,40 @@ def geometry_points(surface: Any, u: Floats, v: Floats) -> SurfacePoints:
     from OCP.GeomLProp import GeomLProp_SLProps
 
     return _evaluated(GeomLProp_SLProps(surface, 2, _RESOLUTION), u, v)
+
+
+def outside(faces: list[Any], patch: Ints, u: Floats, v: Floats, tolerance: float = 1e-9) -> Bools:
+    """Tell which points are outside their faces, by ``BRepClass_FaceClassifier``.
+
+    Parameters
+    ----------
+    faces : list of TopoDS_Face
+        As of `faces_of`.
+    patch : numpy.ndarray
+        ``(n,)`` number of the face of each point.
+    u, v : numpy.ndarray
+        ``(n,)`` parameters.
+    tolerance : float
+        Distance in the parameter plane up to which a point is on the border.
+
+    Returns
+    -------
+    numpy.ndarray
+        ``(n,)`` bool.
+    """
+    from OCP.BRepClass import BRepClass_FaceClassifier
+    from OCP.gp import gp_Pnt2d
+    from OCP.TopAbs import TopAbs_Orientation, TopAbs_State
+    from OCP.TopoDS import TopoDS
+
+    # What is inside does not depend on the orientation, but the classifier believes that it does.
+    plain = [TopoDS.Face_s(face.Oriented(TopAbs_Orientation.TopAbs_FORWARD)) for face in faces]
+    classifier = BRepClass_FaceClassifier()
+    found = np.zeros(len(patch), dtype=bool)
+    for i, (row, a, b) in enumerate(zip(patch.tolist(), u.tolist(), v.tolist(), strict=True)):
+        classifier.Perform(plain[row], gp_Pnt2d(a, b), tolerance)
+        found[i] = classifier.State() == TopAbs_State.TopAbs_OUT
+    return found
 
 
 def _evaluated(properties: Any, u: Floats, v: Floats) -> SurfacePoints:

@@ -122,7 +122,7 @@ class Processes(Generic[Key]):
         return len(self._running) + beside < self._jobs * _AHEAD
 
     def begin(self, key: Key, function: Callable[..., Any], *arguments: Any) -> None:
-        """Have a process call a function that can be pickled.
+        """Have a process call a function of a module; the user's script is not at hand there.
 
         Parameters
         ----------
@@ -137,7 +137,11 @@ class Processes(Generic[Key]):
         ------
         KernelUnavailableError
             If no process can start.
+        ValueError
+            If the function is defined in the script that runs.
         """
+        if function.__module__ == "__main__":
+            raise ValueError(f"{function.__qualname__} is in no module; import it from one")
         self._give(_Task(key, function, arguments))
 
     def wait(self, also: Iterable[concurrent.futures.Future[Any]] = ()) -> None:

@@ -11,21 +11,21 @@ from __future__ import annotations
 import itertools
 import os
 import uuid
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import HealthCheck, settings
 
 from breplake.schema.arrays import ArrayShardWriter
-from breplake.schema.contract import Table
 from breplake.schema.identity import model_id
 from breplake.schema.lake import LakeStore
 from breplake.schema.tables import SCHEMA_VERSION, TABLES
+
+from .rows import complete, vec
 
 # A busy machine is no fault of the code under test.
 settings.register_profile("breplake", deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -47,26 +47,6 @@ TINY = {
     "s1": {"big": (4, 5, 6), "wide": (7, 8, 2)},
 }
 """Shard -> model -> size of the box in mm. Shard s1 also has a model without mesh and a failure."""
-
-
-def zero(kind: pa.DataType) -> Any:
-    """A value for a column that a test does not care about."""
-    if pa.types.is_struct(kind):
-        return {field.name: 0.0 for field in kind}
-    if pa.types.is_map(kind) or pa.types.is_list(kind):
-        return []
-    if pa.types.is_boolean(kind):
-        return False
-    return "" if pa.types.is_string(kind) else 0
-
-
-def complete(table: Table, row: Mapping[str, Any]) -> dict[str, Any]:
-    """Fill the columns that must not be null."""
-    return {c.name: zero(c.type) for c in table.columns if not c.nullable} | dict(row)
-
-
-def vec(point: Any) -> dict[str, float]:
-    return dict(zip("xyz", map(float, point), strict=True))
 
 
 def box_mesh(size: Any) -> dict[str, np.ndarray]:
@@ -291,21 +271,31 @@ SAMPLES = (
 
 
 @pytest.fixture(scope="session")
-def sample_lake(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A lake ingested from sample parts, coarsely meshed; made once for all workers."""
+def shared_lake(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
+    """A function that ingests sample parts into a lake of that name, once for all workers."""
     pytest.importorskip("OCP")
     from filelock import FileLock
 
     base = tmp_path_factory.getbasetemp()
     shared = base.parent if os.environ.get("PYTEST_XDIST_WORKER") else base
-    lake = shared / "sample_lake"
-    with FileLock(shared / "sample_lake.lock"):
-        if not (shared / "sample_lake.done").exists():
-            from breplake.ingest.run import ingest
-            from breplake.ingest.samples import write_samples
-            from breplake.ingest.settings import Settings
 
-            write_samples(shared / "samples", SAMPLES)
-            ingest([shared / "samples"], lake, settings=Settings(max_edge=0.02), message="samples")
-            (shared / "sample_lake.done").touch()
-    return lake
+    def make(name: str, parts: Sequence[str], max_edge: float) -> Path:
+        lake = shared / f"{name}_lake"
+        with FileLock(shared / f"{name}_lake.lock"):
+            if not (shared / f"{name}_lake.done").exists():
+                from breplake.ingest.run import ingest
+                from breplake.ingest.samples import write_samples
+                from breplake.ingest.settings import Settings
+
+                write_samples(shared / name, parts)
+                ingest([shared / name], lake, settings=Settings(max_edge=max_edge), message=name)
+                (shared / f"{name}_lake.done").touch()
+        return lake
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def sample_lake(shared_lake: Callable[..., Path]) -> Path:
+    """A lake ingested from sample parts, coarsely meshed."""
+    return shared_lake("samples", SAMPLES, max_edge=0.02)

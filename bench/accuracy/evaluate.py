@@ -297,4 +297,7 @@ def main(
 
 
 if __name__ == "__main__":
-    typer.run(main)
+    # Processes find a task's function by its module, which is not this script.
+    from breplake.bench.accuracy import evaluate
+
+    typer.run(evaluate.main)

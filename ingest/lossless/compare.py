@@ -17,6 +17,7 @@ from breplake.ingest.heal import add_missing_pcurves
 from breplake.ingest.load import load
 from breplake.ingest.lossless.graph import ShapeGraph
 from breplake.ingest.lossless.rebuild import ModelTables, rebuilt_shapes
+from breplake.ingest.lossless.through_step import CARRIED, step_differences
 from breplake.ingest.unpack import unpacked
 from breplake.schema.shape_tables import SHAPE_TABLES
 
@@ -42,6 +43,7 @@ _PLURALS: Final = {"vertex": "vertices"}
 VERDICTS: Final = {
     "equal": "volume, area, counts and validity are those of the source",
     "different": "something differs",
+    "step-differs": "as equal, but a STEP file made of the tables is ingested to others",
     "no-source": "the CAD file is not where it was, or is another by now",
     "no-shapes": "the lake has no shapes of the model",
     "failed": "the model could not be rebuilt or its source not be read",
@@ -147,7 +149,7 @@ def _shapes(found: Any) -> Iterator[Any]:
     return (found.FindKey(i + 1) for i in range(found.Extent()))
 
 
-def compare_model(lake: ModelTables, model_id: int) -> Comparison:
+def compare_model(lake: ModelTables, model_id: int, through_step: bool = False) -> Comparison:
     """Rebuild a model from its tables, load its source, and compare the two.
 
     The source is measured as it was loaded, after the one repair that ingest makes: the
@@ -159,12 +161,16 @@ def compare_model(lake: ModelTables, model_id: int) -> Comparison:
         The lake.
     model_id : int
         The model.
+    through_step : bool
+        Whether to write the model as STEP too, and compare the tables that ingest makes of that.
     """
     begun = time.process_time()
     model = lake.model(model_id)
     result = Comparison(model_id, model["name"])
     try:
         _compare(lake, model, result)
+        if through_step and result.verdict == "equal":
+            _compare_through_step(lake, model, result)
     except (BreplakeError, OSError) as error:
         result.verdict, result.reasons = "failed", [str(error)]
     result.seconds = time.process_time() - begun
@@ -188,6 +194,14 @@ def _compare(lake: ModelTables, model: dict[str, Any], result: Comparison) -> No
         result.source = measure(_source(path, model["format"], Path(folder)))
     result.reasons = differences(result.source, result.rebuilt)
     result.verdict = "different" if result.reasons else "equal"
+
+
+def _compare_through_step(lake: ModelTables, model: dict[str, Any], result: Comparison) -> None:
+    names = {*CARRIED, *(table.name for table in SHAPE_TABLES)}
+    tables = {name: lake.read(name, model["model_id"]) for name in names}
+    result.reasons = step_differences(tables, model["scale_to_mm"], Path(model["name"]).name)
+    if result.reasons:
+        result.verdict = "step-differs"
 
 
 def differences(source: Measures, rebuilt: Measures, tolerance: float = TOLERANCE) -> list[str]:

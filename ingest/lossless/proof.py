@@ -18,6 +18,7 @@ def compare_models(
     jobs: int,
     timeout: float = 300.0,
     memory: float = 8.0,
+    through_step: bool = False,
 ) -> Iterator[Comparison]:
     """Compare models with their sources and yield the results as they come.
 
@@ -36,6 +37,8 @@ def compare_models(
         Seconds for a model.
     memory : float
         Address space for a model, GiB.
+    through_step : bool
+        As of `compare_model`.
 
     Raises
     ------
@@ -48,7 +51,7 @@ def compare_models(
         while waiting or processes:
             while waiting and processes.has_room():
                 model_id, name = waiting.pop()
-                processes.begin((model_id, name), compare_model, lake, model_id)
+                processes.begin((model_id, name), compare_model, lake, model_id, through_step)
             processes.wait()
             for ended in processes.ended():
                 yield _result(ended, timeout=timeout, memory=memory)

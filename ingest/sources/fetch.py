@@ -9,7 +9,6 @@ from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from threading import Lock
-from types import TracebackType
 from typing import Final, Protocol
 
 from breplake.errors import InputError
@@ -36,7 +35,7 @@ class Gets(Protocol):
 
 
 class Fetcher:
-    """Brings inputs that are members of archives or have to be downloaded.
+    """Brings inputs that are members of archives or have to be downloaded, until it is closed.
 
     Parameters
     ----------
@@ -72,17 +71,6 @@ class Fetcher:
         self._numbers = count()
         self._lock = Lock()
         self._pool = ThreadPoolExecutor(_AT_ONCE)
-
-    def __enter__(self) -> Fetcher:
-        return self
-
-    def __exit__(
-        self,
-        _kind: type[BaseException] | None,
-        _error: BaseException | None,
-        _trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def close(self) -> None:
         """Stop all that is under way, and remove what was unpacked and not taken."""

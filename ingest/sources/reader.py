@@ -9,7 +9,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from breplake.errors import MissingExtraError, RefusedSourceError
@@ -56,17 +55,6 @@ class ArchiveReader:
             encoding="utf-8",
         )
         self._send(request.line())
-
-    def __enter__(self) -> ArchiveReader:
-        return self
-
-    def __exit__(
-        self,
-        _kind: type[BaseException] | None,
-        _error: BaseException | None,
-        _trace: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def allow(self, count: int) -> None:
         """Let it write `count` files in all."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from threading import RLock
@@ -176,7 +176,8 @@ class Sources:
             yield None
             return
         ledger = self._opened_ledger()
-        with Fetcher(brought, folder, ledger, self._opened_downloads(), self.limits) as fetcher:
+        downloads = self._opened_downloads()
+        with closing(Fetcher(brought, folder, ledger, downloads, self.limits)) as fetcher:
             yield fetcher
 
     def told(self, inputs: Iterable[Input]) -> Iterator[Input]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -179,7 +180,7 @@ def _read(
     facts: dict[str, Any] = {}
     by_place: dict[int, Member] = {}
     refusal: RefusedSourceError | None = None
-    with ArchiveReader(Request(str(path), limits)) as reader:
+    with closing(ArchiveReader(Request(str(path), limits))) as reader:
         try:
             for word, values in reader.events():
                 waiting.check()

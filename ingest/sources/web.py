@@ -138,22 +138,18 @@ class Web:
         end = time.monotonic() + _PATIENCE
         while True:
             self._check()
-            response, there, error = None, None, None
+            response, error = None, None
             try:
                 proof = sign(method, target) if sign else {}
                 response = self._send(method, target, body, {**(headers or {}), **proof})
-                there = response.get_redirect_location()
-                if not there and response.status not in _AGAIN:
+                if not _is_excuse(response):
                     return Answer.read(response, into, most, _is_packed(url), self._check)
                 # Its body may have no end, so the connection is not used again.
                 response.close()
                 response.release_conn()
             except self._errors.HTTPError as caught:
-                response, there, error = None, None, caught
-                if isinstance(caught, ValueError):
-                    raise _no_address(url, caught) from caught
-                if self._is_final(caught):
-                    raise download_failed(url, str(caught)) from caught
+                response, error = None, caught
+                self._require_passing(url, caught)
             except InputError:
                 raise
             except (ValueError, HTTPException) as caught:  # of parts that no request can hold
@@ -163,16 +159,17 @@ class Web:
                 retry = retry.increment(method, target, response=response, error=error)
             except self._errors.MaxRetryError as last:
                 raise download_failed(url, str(last.reason)) from last
-            if there:
+            if response is not None and (there := response.get_redirect_location()):
                 target = _redirected(target, there)
             else:
-                asked = retry.get_retry_after(response) if response is not None else None
-                pause = asked or retry.get_backoff_time()
-                if time.monotonic() + pause > end:
-                    why = error or f"the server answers {response.status if response else ''}"
-                    detail = f"{why}, and the next try, in {pause:.0f} s, is too late"
-                    raise download_failed(url, detail)
-                self._wait(pause)
+                self._wait(_pause(retry, response, error, url, end))
+
+    def _require_passing(self, url: str, error: Exception) -> None:
+        """Raise the failure of an address whose error will be the same next time."""
+        if isinstance(error, ValueError):
+            raise _no_address(url, error) from error
+        if self._is_final(error):
+            raise download_failed(url, str(error)) from error
 
     def _is_final(self, error: Exception) -> bool:
         """Whether an error will be the same next time."""
@@ -255,6 +252,28 @@ def _limited(
         if most is not None and size > most:
             raise InputError("too-large", advise("too-large", f"more than {most} bytes"))
         yield block
+
+
+def _is_excuse(response: Any) -> bool:
+    """Whether a response is a redirection, or an answer that may be better later."""
+    return bool(response.get_redirect_location()) or response.status in _AGAIN
+
+
+def _pause(retry: Any, response: Any, error: Exception | None, url: str, end: float) -> float:
+    """Return the seconds to wait before the next try.
+
+    Raises
+    ------
+    InputError
+        ``download-failed`` if it would come after `end`, on the clock of ``time.monotonic``.
+    """
+    asked = retry.get_retry_after(response) if response is not None else None
+    pause: float = asked or retry.get_backoff_time()
+    if time.monotonic() + pause > end:
+        why = error or f"the server answers {response.status if response else ''}"
+        detail = f"{why}, and the next try, in {pause:.0f} s, is too late"
+        raise download_failed(url, detail)
+    return pause
 
 
 def _no_address(url: str, error: Exception) -> InputError:

@@ -29,12 +29,12 @@ from breplake.ingest.settings import Settings
 from breplake.ingest.shard import write_shard
 from breplake.ingest.spool import Spool
 from breplake.schema.lake import LakeStore
-from breplake.schema.tables import TABLES
+
+from .lakes import assert_same, contents
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of botocore and moto
 
 COARSE = Settings(max_edge=0.1)
-TIMINGS = {"seconds", "peak_memory", "path"}
 
 
 @pytest.fixture(scope="module")
@@ -61,23 +61,7 @@ def whole(parts, tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(run, "SHARD_MODELS", 2)
         run.ingest([parts], lake, settings=COARSE, jobs=2, collection="c")
-    return contents(breplake.open(lake))
-
-
-def contents(lake):
-    """Every table of a lake but for what a clock or a place says."""
-    found = {}
-    for name, table in TABLES.items():
-        frame = lake.scan(name).collect()
-        timed = [c for c in frame.columns if c in TIMINGS or c.startswith("cpu_")]
-        found[name] = frame.drop(timed).sort(table.key)
-    return found
-
-
-def assert_same(a, b):
-    assert a.keys() == b.keys()
-    for name in a:
-        assert a[name].equals(b[name]), name
+    return contents(lake)
 
 
 def left_over(folder):
@@ -90,7 +74,7 @@ def test_a_lake_in_object_storage(parts, whole, bucket, tmp_path):
     summary = run.ingest([parts], bucket, settings=COARSE, jobs=2, collection="c")
     assert (summary.n_models, summary.n_fatal, summary.snapshot.number) == (5, 1, 3)
     lake = breplake.open(bucket)
-    assert_same(contents(lake), whole)
+    assert_same(contents(bucket), whole)
     assert lake.store.verify(lake.snapshot) == []
     assert not left_over(tmp_path / "cache")
     again = CliRunner().invoke(app, ["ingest", str(parts), "--lake", bucket, "--max-edge", "0.1"])
@@ -131,7 +115,7 @@ def test_a_killed_run_goes_on_in_object_storage(parts, whole, bucket, monkeypatc
     assert breplake.open(bucket).snapshot.number == 1
     summary = run.ingest([parts], bucket, settings=COARSE, jobs=1, collection="c")
     assert summary.n_resumed >= 2
-    assert_same(contents(breplake.open(bucket)), whole)
+    assert_same(contents(bucket), whole)
 
 
 def failed(folder, parts, seconds):
@@ -255,7 +239,7 @@ def test_a_cluster_that_loses_a_node(parts, whole, cluster, tmp_path):
     assert (summary.n_models, summary.n_fatal, summary.stopped) == (5, 1, False)
     assert (summary.n_meshed, summary.plan.new) == (5, summary.plan.inputs)
     found = breplake.open(lake)
-    same_but_shard(contents(found), whole)
+    same_but_shard(contents(lake), whole)
     assert found.store.verify(found.snapshot) == []
     events = pl.read_ndjson(log, infer_schema_length=None)["event"].to_list()
     assert (events.count("model"), events.count("failed"), events.count("commit")) == (5, 1, 3)
@@ -264,7 +248,7 @@ def test_a_cluster_that_loses_a_node(parts, whole, cluster, tmp_path):
 @pytest.mark.filterwarnings("ignore")  # of ray's own
 def test_a_cluster_and_object_storage(parts, whole, bucket, cluster, tmp_path):
     run.ingest([parts], bucket, settings=COARSE, collection="c", engine="ray", jobs=1)
-    assert_same(contents(breplake.open(bucket)), whole)
+    assert_same(contents(bucket), whole)
     assert not left_over(tmp_path / "cache")
     (tmp_path / "none").mkdir()
     run.ingest([tmp_path / "none"], tmp_path / "other", engine="ray")
@@ -279,4 +263,4 @@ def test_a_cluster_and_object_storage(parts, whole, bucket, cluster, tmp_path):
     assert 2 <= stopped.n_done < 6
     rest = run.ingest([parts], tmp_path / "lake", settings=COARSE, jobs=1, collection="c")
     assert rest.n_done == 6 - stopped.n_done
-    same_but_shard(contents(breplake.open(tmp_path / "lake")), whole)
+    same_but_shard(contents(tmp_path / "lake"), whole)

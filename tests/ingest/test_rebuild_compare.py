@@ -175,6 +175,7 @@ def test_the_command_writes_a_file(place, tmp_path):
         ((), "which MODEL"),
         (("ball_steel",), "which MODEL"),
         (("ball_steel", "-o", "a.step", "--where", "true"), "--where goes with --compare"),
+        (("ball_steel", "-o", "a.step", "--step"), "--step goes with --compare"),
         (("ball_steel", "--compare", "--where", "true"), "either a MODEL or --where"),
         (("--compare", "--where", "false"), "no model meets"),
     ],
@@ -183,3 +184,18 @@ def test_usage(place, words, message):
     done = run(*words, "--lake", place / "lake")
     assert done.exit_code == 2
     assert message in done.output
+
+
+def test_the_proof_through_step(tmp_path):
+    """What a STEP file does not carry is an exception with the columns named."""
+    write_samples(tmp_path / "files", ["ball_steel", "float_ellipsoid"])
+    ingest([tmp_path / "files"], tmp_path / "lake", settings=Settings(max_edge=0.1))
+    plain = run("--compare", "--lake", tmp_path / "lake", "-j", 1)
+    assert plain.exit_code == 0, plain.output
+    report = tmp_path / "report.json"
+    done = run("--compare", "--step", "--lake", tmp_path / "lake", "-j", 1, "-o", report)
+    assert done.exit_code == 1
+    found = {row["name"]: row for row in json.loads(report.read_text())["models"]}
+    assert found["ball_steel"]["verdict"] == "equal"
+    assert found["float_ellipsoid"]["verdict"] == "step-differs"
+    assert any("patches" in reason for reason in found["float_ellipsoid"]["reasons"])

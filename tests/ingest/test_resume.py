@@ -21,11 +21,11 @@ from breplake.ingest.samples import write_samples
 from breplake.ingest.settings import Settings
 from breplake.ingest.workspace import WORK, running
 from breplake.schema.lake import LakeStore
-from breplake.schema.tables import TABLES
+
+from .lakes import assert_same, contents
 
 NAMES = ["flange_round", "bracket_l", "pipe_tee", "washer", "gear_spur", "torus_chain"]
 COARSE = Settings(max_edge=0.1)
-TIMINGS = {"seconds", "peak_memory", "path"}
 
 RUN = """
 import sys
@@ -48,27 +48,6 @@ def _some_names():
 
     wanted = [name for name in NAMES if name in PARTS]
     return wanted + [name for name in PARTS if name not in wanted][: 6 - len(wanted)]
-
-
-def contents(lake):
-    """Every table of a lake but for what a clock or a place says."""
-    store = LakeStore.open(lake)
-    head = store.head()
-    found = {}
-    for name, table in TABLES.items():
-        frames = [pl.read_parquet(store.root / e.path) for e in head.table_files(name)]
-        if not frames:
-            continue
-        frame = pl.concat(frames)
-        timed = [c for c in frame.columns if c in TIMINGS or c.startswith("cpu_")]
-        found[name] = frame.drop(timed).sort(table.key)
-    return found
-
-
-def assert_same(a, b):
-    assert a.keys() == b.keys()
-    for name in a:
-        assert a[name].equals(b[name]), name
 
 
 def start(parts, lake):

@@ -45,24 +45,15 @@ def test_patches_sum_to_the_exact_area(lake):
 
 def test_no_point_is_outside_by_occt(lake):
     pytest.importorskip("OCP")
-    from OCP.BRepClass import BRepClass_FaceClassifier
-    from OCP.gp import gp_Pnt2d
-    from OCP.TopAbs import TopAbs_Orientation, TopAbs_State
-    from OCP.TopoDS import TopoDS
+    from breplake.ingest.pointwise import faces_of, outside
 
-    from breplake.ingest.canonical import canonical, shape_list
-    from breplake.ingest.load import load
-
-    classifier = BRepClass_FaceClassifier()
     for name in PARTS:
         model = lake.model(name)
-        shape = canonical(load(Path(model["path"]), model["format"]).shapes)
-        faces = shape_list(shape.faces, TopoDS.Face_s)
+        faces = faces_of(Path(model["path"]), model["format"])
         drawn = lake.sample(name, 3000)
-        for patch, u, v in zip(drawn.patch.tolist(), drawn.u, drawn.v, strict=True):
-            face = faces[patch].Oriented(TopAbs_Orientation.TopAbs_FORWARD)
-            classifier.Perform(TopoDS.Face_s(face), gp_Pnt2d(u, v), 1e-9)
-            assert classifier.State() != TopAbs_State.TopAbs_OUT, (name, patch, u, v)
+        assert not outside(faces, drawn.patch, drawn.u, drawn.v).any(), name
+        # The judge itself can say no: far off the patch nothing is inside.
+        assert outside(faces, drawn.patch[:5], drawn.u[:5] + 1e6, drawn.v[:5] + 1e6).any(), name
 
 
 def test_points_and_normals(lake):

@@ -44,6 +44,14 @@ def rebuild(
         bool,
         typer.Option("--compare", help="Compare rebuilt models with their CAD files instead."),
     ] = False,
+    step: Annotated[
+        bool,
+        typer.Option(
+            "--step",
+            help="With --compare: also write each model as STEP, and compare the tables that "
+            "ingest makes of that file.",
+        ),
+    ] = False,
     where: Annotated[
         str | None,
         typer.Option("--where", help="With --compare: an SQL condition on models; all if none."),
@@ -72,7 +80,14 @@ def rebuild(
     opened = breplake.open(lake, at)
     if compare:
         models = _chosen(opened, model, where)
-        results = _compare(opened, models, jobs or os.cpu_count() or 1, timeout, memory)
+        results = _compare(
+            opened,
+            models,
+            jobs=jobs or os.cpu_count() or 1,
+            timeout=timeout,
+            memory=memory,
+            through_step=step,
+        )
         if output is not None:
             report = {"lake": opened.place, "snapshot": opened.snapshot.number}
             rows = [result.row() for result in results]
@@ -84,6 +99,8 @@ def rebuild(
         raise UsageError("say which MODEL to rebuild and the file with -o, or give --compare")
     if where is not None:
         raise UsageError("--where goes with --compare; without it one MODEL is rebuilt")
+    if step:
+        raise UsageError("--step goes with --compare; to write a STEP file end -o FILE with .step")
     _write(opened, model, output, unit)
 
 
@@ -111,7 +128,13 @@ def _chosen(lake: Lake, model: str | None, where: str | None) -> dict[int, str]:
 
 
 def _compare(
-    lake: Lake, models: dict[int, str], jobs: int, timeout: float, memory: float
+    lake: Lake,
+    models: dict[int, str],
+    *,
+    jobs: int,
+    timeout: float,
+    memory: float,
+    through_step: bool,
 ) -> list[Comparison]:
     from rich.progress import (
         BarColumn,
@@ -124,10 +147,13 @@ def _compare(
     from breplake.ingest.lossless.proof import compare_models
 
     columns = (TextColumn("comparing"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    results = compare_models(
+        lake, models, jobs=jobs, timeout=timeout, memory=memory, through_step=through_step
+    )
     found = []
     with Progress(*columns, console=console(error=True), transient=True) as bar:
         task = bar.add_task("models", total=len(models))
-        for result in compare_models(lake, models, jobs=jobs, timeout=timeout, memory=memory):
+        for result in results:
             found.append(result)
             bar.advance(task)
     place = {model_id: i for i, model_id in enumerate(models)}
@@ -157,4 +183,5 @@ def _report(out: Console, results: Sequence[Comparison]) -> bool:
         for result in others:
             table.add_row(shown(result.name), result.verdict, shown("\n".join(result.reasons)))
         out.print(table)
-    return bool(verdicts["equal"]) and not (verdicts["different"] or verdicts["failed"])
+    unequal = sum(verdicts[verdict] for verdict in ("different", "step-differs", "failed"))
+    return bool(verdicts["equal"]) and not unequal

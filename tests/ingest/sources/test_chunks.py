@@ -11,7 +11,6 @@ import sys
 import time
 from pathlib import Path
 
-import polars as pl
 import pytest
 
 pytest.importorskip("OCP")
@@ -30,7 +29,8 @@ from breplake.ingest.samples import write_samples
 from breplake.ingest.settings import Settings
 from breplake.ingest.sources.resolve import Sources
 from breplake.schema.lake import LakeStore
-from breplake.schema.tables import TABLES
+
+from ..lakes import assert_same, contents
 
 COARSE = Settings(max_edge=0.2, timeout=120)
 SAMPLES = ("base_plate_mm", "duct_surface", "hinge", "ring_o")
@@ -47,8 +47,6 @@ FROM_CORPUS = (
     "freecad_library/Mechanical_Parts__Fasteners__Washers__Metric__DIN93_M5TabWasher.step",
     "geouned/Torus__torus.stp",
 )
-MEASURED = {"seconds", "peak_memory"}
-"""Columns that tell of the run; those of cpu_* do, too."""
 
 
 def key(number):
@@ -98,26 +96,6 @@ def original_layout(folder, models, pack_7z):
     blocks = dict(list(steps.items())[:half]), dict(list(steps.items())[half:])
     pack_7z(folder / "abc_0000_meta_v00.7z", metadata)
     return pack_7z(folder / "abc_0000_step_v00.7z", *blocks), steps
-
-
-def contents(lake):
-    """Every table without what a clock says."""
-    store = LakeStore.open(lake)
-    head = store.head()
-    found = {}
-    for name, table in TABLES.items():
-        frames = [pl.read_parquet(store.root / entry.path) for entry in head.table_files(name)]
-        if frames:
-            frame = pl.concat(frames)
-            timed = [c for c in frame.columns if c in MEASURED or c.startswith("cpu_")]
-            found[name] = frame.drop(timed).sort(table.key)
-    return found
-
-
-def assert_same(one, two):
-    assert one.keys() == two.keys()
-    for name in one:
-        assert one[name].equals(two[name]), name
 
 
 def accounted(lake):

@@ -25,6 +25,8 @@ from breplake.ingest.sources.onshape_parts import Document, Onshape
 from breplake.ingest.sources.resolve import Sources
 from breplake.ingest.sources.web import Web
 
+from .found import find
+
 ACCESS, SECRET = "accessKEY0123456789", "SECRETsecretSECRET0123456789"
 DOC, SPACE, VERSION = "a" * 24, "b" * 24, "c" * 24
 STUDIO, OTHER = "d" * 24, "e" * 24
@@ -182,11 +184,6 @@ def onshape(server, waits):
 @pytest.fixture
 def no_waiting(monkeypatch):
     monkeypatch.setattr("breplake.ingest.sources.onshape_parts._FIRST_LOOK", 0.001)
-
-
-def find(*sources, **options):
-    with Sources.open() as opened:
-        return opened.find(sources, **options)
 
 
 WORKSPACE = Document(DOC, "w", SPACE)
