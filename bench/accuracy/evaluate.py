@@ -33,9 +33,11 @@ _ROUNDING: Final = {"position": 1e-12, "normal": 1e-6, "curvature": 1e-3}
 """Differences up to which rounding may be to blame, so that extended precision decides. It has
 our formulas and parameters: of position, and of more than this, Open CASCADE is the judge."""
 
-_SELDOM: Final = 1e-3
-"""Share of points that may be disputed, and that may be flagged: a wrong formula would be wrong at
-most of them."""
+_SELDOM: Final = 1e-2
+"""Share of points that may be disputed: a wrong formula would be wrong at most of them."""
+
+_SINGULAR: Final = 1e-3
+"""Share of points that may be flagged: patches are singular at single points."""
 
 _FLAT: Final = 1e-6
 """Curvatures below this over the model's size are compared with it: such a patch departs from a
@@ -83,7 +85,7 @@ class Errors:
         """Names of the tolerances that we exceed, and of what is not evaluated too often."""
         found = [name for name, limit in TOLERANCES.items() if not self._within(name, limit)]
         found += ["unknown"] if self.unknown else []
-        return found + (["flagged"] if self.flagged > max(_SELDOM * self.points, 1) else [])
+        return found + (["flagged"] if self.flagged > max(_SINGULAR * self.points, 1) else [])
 
     def _within(self, name: str, limit: float) -> bool:
         if self.worst[name] <= limit:

@@ -171,10 +171,23 @@ def _matched(
     order = [(name, "ascending") for name in ("patch_id", "curve_id", "reversed")]
     uses = before["coedges"], _renumbered(after["coedges"], "curve_id", number)
     old, new = (table.sort_by(order).drop_columns(["loop", "place"]) for table in uses)
+    old, new = _both(old, new, "t_min", "t_max")
     turn = turn[_whole(old, "curve_id").to_numpy()]
     yield "coedges", old, new, {"t_min": turn, "t_max": turn}
     new = _renumbered(after["corners"].take(corners), "corner_id", _inverse(corners))
     yield "corners", before["corners"], new, {}
+
+
+def _both(old: pa.Table, new: pa.Table, *columns: str) -> tuple[pa.Table, pa.Table]:
+    """Empty columns where one of the two is: a plane's pcurves need not be stored."""
+    for column in columns:
+        at = old.schema.get_field_index(column)
+        there = pc.and_(_whole(old, column).is_valid(), _whole(new, column).is_valid())
+        old, new = (
+            table.set_column(at, table.schema.field(at), pc.if_else(there, table[column], None))
+            for table in (old, new)
+        )
+    return old, new
 
 
 def _order(before: Floats, after: Floats) -> Ints:
