@@ -67,7 +67,7 @@ def test_the_report():
     lines = report(
         [
             Found("good", 1e-9, 100, 0, [0.5, 0.2]),
-            Found("off", 1e-3, 100, 2, [0.0]),
+            Found("off", 1e-3, 100, 2, [0.0], is_valid=False),
             Found("partly", np.nan, 100, 0, []),
             Found("gone", excuse="no such file"),
         ]
@@ -75,9 +75,10 @@ def test_the_report():
     assert lines[0] == "4 models, 3 judged"
     assert lines[1].startswith("1 of 2 have the area")
     assert lines[1].endswith("1 hold a patch that is unknown")
-    assert lines[2].startswith("2 of 300 points are outside")
-    assert lines[3].startswith("1 of 3 chi-square tests")
-    assert [line.strip() for line in lines[4:]] == [
+    assert lines[2] == "0 of 200 points are outside by Open CASCADE in 2 valid models"
+    assert lines[3] == "2 of 100 points are outside by Open CASCADE in 1 invalid models"
+    assert lines[4].startswith("1 of 3 chi-square tests")
+    assert [line.strip() for line in lines[5:]] == [
         "area off by 1.0e-03: off",
         "2 points outside: off",
         "left out gone: no such file",
