@@ -137,7 +137,7 @@ class Loader:
         self.workers, self.threads, self.prefetch = workers, threads, prefetch
         self.pin_memory = pin_memory and torch.accelerator.is_available()
         self.context, self.timeout = context, timeout
-        self._epoch, self._cursor, self._start = 0, 0, 0
+        self._go_to(0)
         self._processes: DataLoader[Any] | None = None
         # (workers, 2) process and sample that each worker is at
         self._places = torch.full((max(workers, 1), 2), -1)
@@ -165,10 +165,18 @@ class Loader:
         """
         if epoch < 0:
             raise UsageError(f"an epoch is at least 0, got {epoch}")
-        self._epoch, self._cursor, self._start = epoch, 0, 0
+        self._go_to(epoch)
+
+    def _go_to(self, epoch: int, cursor: int = 0) -> None:
+        """Let the next iteration begin at place `cursor` of `epoch`."""
+        self._epoch, self._cursor, self._start = epoch, cursor, cursor
+        self._is_through = False  # this rank had its last batch, another may have one to come
 
     def state_dict(self) -> dict[str, Any]:
-        """Return where the iteration stands: the same on every rank."""
+        """Return where the iteration stands: after the same step, the same on every rank.
+
+        A rank that has no batch in an epoch's last step is at that step when its iteration ends.
+        """
         order = self.order
         return {
             "version": _STATE,
@@ -196,8 +204,7 @@ class Loader:
                     f"the state is of another loader: its {key} is {state.get(key)!r}, here it is "
                     f"{mine[key]!r}"
                 )
-        self._epoch, self._cursor = int(state["epoch"]), int(state["cursor"])
-        self._start = self._cursor
+        self._go_to(int(state["epoch"]), int(state["cursor"]))
 
     def __iter__(self) -> Iterator[Any]:
         """Yield the batches of an epoch, from its beginning or from where a state was loaded.
@@ -207,6 +214,8 @@ class Loader:
         SampleError
             If a sample cannot be read, or a worker dies; the message names the model.
         """
+        if self._is_through:  # whoever counts batches does not come back after the last one
+            self._go_to(self._epoch + 1)
         epoch, self._cursor, self._start = self._epoch, self._start, 0
         steps = list(self.order.walk(epoch, self._cursor))
         keys = [(indices, epoch) for indices, _ in steps]
@@ -214,12 +223,12 @@ class Loader:
         left = len(steps)
         for batch, (_, after) in zip(made, steps, strict=True):
             left -= 1
-            self._cursor = after
-            if not left:  # whoever counts batches does not come back after the last one
-                self._epoch, self._cursor = epoch + 1, 0
+            self._cursor, self._is_through = after, not left
+            if self.order.ends(after):
+                self._go_to(epoch + 1)
             yield batch
-        if not steps:
-            self._epoch, self._cursor = epoch + 1, 0
+        if self._is_through or not steps:
+            self._go_to(epoch + 1)
 
     def _by_threads(self, keys: Sequence[_Key]) -> Iterator[Any]:
         """Yield batches, read ahead by threads of this process."""
