@@ -90,6 +90,9 @@ class Loader:
         it; by ``forkserver`` for a lake that is reached over a network, as no fork reads from one.
     timeout : float
         Seconds to wait for a batch of a worker; 0 waits for ever.
+    fixed_epoch : int, optional
+        Let every iteration be this epoch: the same order, draws and transforms each time, as
+        validation needs.
 
     Raises
     ------
@@ -114,6 +117,7 @@ class Loader:
         pin_memory: bool = False,
         context: str | None = None,
         timeout: float = 0,
+        fixed_epoch: int | None = None,
     ) -> None:
         if workers < 0 or threads < 0 or prefetch < 1:
             raise UsageError(
@@ -137,7 +141,8 @@ class Loader:
         self.workers, self.threads, self.prefetch = workers, threads, prefetch
         self.pin_memory = pin_memory and torch.accelerator.is_available()
         self.context, self.timeout = context, timeout
-        self._go_to(0)
+        self.fixed_epoch = fixed_epoch
+        self.set_epoch(fixed_epoch or 0)
         self._processes: DataLoader[Any] | None = None
         # (workers, 2) process and sample that each worker is at
         self._places = torch.full((max(workers, 1), 2), -1)
@@ -161,15 +166,18 @@ class Loader:
         Raises
         ------
         UsageError
-            If `epoch` is negative.
+            If `epoch` is negative, or not the one that is fixed.
         """
         if epoch < 0:
             raise UsageError(f"an epoch is at least 0, got {epoch}")
+        if self.fixed_epoch not in (None, epoch):
+            raise UsageError(f"every iteration is epoch {self.fixed_epoch} here, got {epoch}")
         self._go_to(epoch)
 
     def _go_to(self, epoch: int, cursor: int = 0) -> None:
         """Let the next iteration begin at place `cursor` of `epoch`."""
-        self._epoch, self._cursor, self._start = epoch, cursor, cursor
+        self._epoch = epoch if self.fixed_epoch is None else self.fixed_epoch
+        self._cursor, self._start = cursor, cursor
         self._is_through = False  # this rank had its last batch, another may have one to come
 
     def state_dict(self) -> dict[str, Any]:
@@ -195,7 +203,8 @@ class Loader:
         Raises
         ------
         UsageError
-            If the state is of other samples or of another order.
+            If the state is of other samples, of another order, or of an epoch that is not the
+            fixed one.
         """
         mine = self.state_dict()
         for key in mine.keys() - {"epoch", "cursor"}:
@@ -204,7 +213,8 @@ class Loader:
                     f"the state is of another loader: its {key} is {state.get(key)!r}, here it is "
                     f"{mine[key]!r}"
                 )
-        self._go_to(int(state["epoch"]), int(state["cursor"]))
+        self.set_epoch(int(state["epoch"]))
+        self._go_to(self._epoch, int(state["cursor"]))
 
     def __iter__(self) -> Iterator[Any]:
         """Yield the batches of an epoch, from its beginning or from where a state was loaded.

@@ -333,12 +333,34 @@ def test_an_error_names_the_model(tiny_lake, options):
         list(Loader(broken, 1, **options))
 
 
+@pytest.mark.parametrize("options", [{"threads": 0}, {"workers": 2, **WORKERS}])
+def test_an_epoch_can_be_fixed(clouds, options):
+    loader = Loader(clouds, 5, fixed_epoch=2, **options)
+    other = Loader(clouds, 5)
+    other.set_epoch(2)
+    expected = epoch(other)
+    running = iter(loader)
+    for _ in range(len(loader) - 1):
+        next(running)
+    state = loader.state_dict()
+    assert epoch(loader) == epoch(loader) == expected
+    assert loader.epoch == 2
+    loader.load_state_dict(state)
+    assert epoch(loader) == expected[-1:]
+    assert epoch(loader) == expected
+    for change in (lambda: loader.set_epoch(1), lambda: loader.load_state_dict(other.state_dict())):
+        with pytest.raises(UsageError, match="every iteration is epoch 2"):
+            change()
+
+
 def test_mistakes(clouds):
     for wrong in ({"workers": -1}, {"threads": -1}, {"prefetch": 0}, {"rank": 0}, {"ranks": 2}):
         with pytest.raises(UsageError):
             Loader(clouds, 2, **wrong)
     with pytest.raises(UsageError, match="epoch"):
         Loader(clouds, 2).set_epoch(-1)
+    with pytest.raises(UsageError, match="epoch"):
+        Loader(clouds, 2, fixed_epoch=-1)
 
 
 def resident() -> int:
