@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 import breplake
 from breplake.cli import app
 from breplake.errors import LakeFormatError, NameNotFoundError, UsageError
+from breplake.queries.subset_files import export_subset
 from breplake.queries.subsets import create_subset
 from breplake.queries.versions.extract import Selection, extract
 from breplake.queries.versions.mirror import mirror
@@ -258,6 +259,50 @@ def test_more_models_are_added(source, tmp_path):
     assert (done.models, done.present, done.snapshot.number) == (0, 1, 2)
     lake = breplake.open(tmp_path / "some")
     assert set(lake.scan("models").collect()["name"]) == {"big", "small"}
+
+
+@pytest.fixture
+def changed(tmp_path, new_shard, monkeypatch):
+    """A lake whose model big comes of another source file than that of ``source``."""
+    real = new_shard.__globals__["box_rows"]
+
+    def other_file(name, size, shard):
+        rows = real(name, size, shard)
+        rows["models"][0]["sha256"] = "0" * 64
+        return rows
+
+    store = LakeStore.create(tmp_path / "changed")
+    with monkeypatch.context() as patch:
+        patch.setitem(new_shard.__globals__, "box_rows", other_file)
+        new_shard(store, "t0", {"big": (2, 2, 2)})
+    store.commit(store.register_shard("t0"), **META)
+    return store
+
+
+@pytest.mark.parametrize("remote", [False, True])
+@pytest.mark.parametrize("choice", ["subset", "models", "where"])
+def test_a_model_of_another_source_file_is_no_copy(source, changed, web, tmp_path, remote, choice):
+    listed = tmp_path / "list.csv"
+    here = breplake.open(source.root, 2)
+    export_subset(here, here.subset("large"), listed)
+    chosen = {"subset": "large", "models": listed, "where": "area > 100"}[choice]
+    store = LakeStore.open(web) if remote else source
+    with pytest.raises(UsageError, match=r"1 of 1 models .*boxes/big \(of another source file\)"):
+        extract(store, changed.root, store.snapshot(2), Selection(**{choice: chosen}))
+    assert changed.numbers() == [1]
+    lake = breplake.open(changed.root)
+    assert set(lake.scan("models").collect()["name"]) == {"big"}
+    with pytest.raises(NameNotFoundError):
+        lake.subset("large")
+
+
+def test_a_list_of_other_source_files_is_refused(source, changed, tmp_path):
+    here = breplake.open(source.root, 2)
+    export_subset(here, here.subset("large"), tmp_path / "list.csv")
+    chosen = Selection(models=tmp_path / "list.csv")
+    with pytest.raises(UsageError, match=r"1 of 2 models .*boxes/big \(of another source file\)"):
+        extract(changed, tmp_path / "some", changed.snapshot(), chosen)
+    assert not (tmp_path / "some").exists()
 
 
 def test_a_subset_goes_along(source, web, tmp_path):
