@@ -364,6 +364,36 @@ def test_a_list_of_models(source, tmp_path):
         extract(source, tmp_path / "some", source.snapshot(), Selection(models=file))
 
 
+def test_tags_and_subsets_that_are_left_out_are_named(source, web, tmp_path):
+    def call(*arguments):
+        result = CliRunner().invoke(app, [str(a) for a in arguments])
+        assert result.exit_code == 0, result.output
+        return result.stdout
+
+    place = tmp_path / "copy"
+    said = call("publish", place, "--lake", source.root)
+    assert "left out: subset large (of snapshot 2), tag v1 (of snapshot 2)\n" in said
+    command = f"breplake publish {place} --lake {source.root}"
+    assert f"{command} --at 2 copies a snapshot with what names it, --subset NAME" in said
+    assert mirror(source, tmp_path / "two", source.snapshot()).left_out == {
+        "subset large": 2, "tag v1": 2
+    }  # fmt: skip
+    # the commands that are named do it
+    assert "left out" not in call(*command.split()[1:], "--at", "2")
+    copy = LakeStore.open(place)
+    assert copy.tags() == {"v1": 2}
+    assert breplake.open(place).subset("large").snapshot == 2
+    assert "left out" not in call("publish", place, "--lake", source.root)  # they are there now
+
+    said = call("pull", web, "--lake", tmp_path / "pulled", "--at", "v1")
+    command = f"breplake pull {web} --lake {tmp_path / 'pulled'}"
+    assert "subsets, and tags other than --at, were left out" in said
+    assert f"{command} --subset NAME copies a subset" in said
+    assert LakeStore.open(tmp_path / "pulled").tags() == {"v1": 2}
+    call(*command.split()[1:], "--subset", "large")
+    assert len(breplake.open(tmp_path / "pulled").subset("large")) == 2
+
+
 def test_commands(source, web, tmp_path):
     def call(*arguments):
         return CliRunner().invoke(app, [str(a) for a in arguments])
