@@ -174,7 +174,7 @@ def test_every_command_is_documented():
 
 def test_what_the_readme_trains_with_has_epochs():
     """Torch's own loader repeats the draws of one epoch, unless someone calls set_epoch."""
-    code = "".join(b.code for b in page_blocks(ROOT / "README.md") if b.language == "python")
+    code = "".join(b.body for b in page_blocks(ROOT / "README.md") if b.language == "python")
     assert "Loader(" in code
     assert "torch.utils.data" not in code
     page = (ROOT / "docs/loaders.md").read_text(encoding="utf-8")
