@@ -67,7 +67,9 @@ class LakeDataModule(_Base):  # type: ignore[misc]  # "cannot subclass Any": see
     def loader(self, stage: str) -> Loader:
         """Return the loader of ``train``, ``validation`` or ``test``, made when first asked for.
 
-        Only training is shuffled; and there all ranks have equally many batches.
+        Only training is shuffled and goes from epoch to epoch; and there all ranks have equally
+        many batches. The others draw epoch 0 each time: the same points in every pass, also after
+        a run was resumed, so that losses can be compared.
 
         Raises
         ------
@@ -78,7 +80,12 @@ class LakeDataModule(_Base):  # type: ignore[misc]  # "cannot subclass Any": see
             training = stage == "train"
             dataset = self.make(self.lake, self.subset, self.splits.get(stage, stage))
             self._loaders[stage] = Loader(
-                dataset, self.batch_size, shuffle=training, drop_last=training, **self.options
+                dataset,
+                self.batch_size,
+                shuffle=training,
+                drop_last=training,
+                fixed_epoch=None if training else 0,
+                **self.options,
             )
             if training and self._state is not None:
                 self._loaders[stage].load_state_dict(self._state)

@@ -90,6 +90,9 @@ class Loader:
         it; by ``forkserver`` for a lake that is reached over a network, as no fork reads from one.
     timeout : float
         Seconds to wait for a batch of a worker; 0 waits for ever.
+    fixed_epoch : int, optional
+        Let every iteration be this epoch: the same order, draws and transforms each time, as
+        validation needs.
 
     Raises
     ------
@@ -114,6 +117,7 @@ class Loader:
         pin_memory: bool = False,
         context: str | None = None,
         timeout: float = 0,
+        fixed_epoch: int | None = None,
     ) -> None:
         if workers < 0 or threads < 0 or prefetch < 1:
             raise UsageError(
@@ -137,7 +141,8 @@ class Loader:
         self.workers, self.threads, self.prefetch = workers, threads, prefetch
         self.pin_memory = pin_memory and torch.accelerator.is_available()
         self.context, self.timeout = context, timeout
-        self._epoch, self._cursor, self._start = 0, 0, 0
+        self.fixed_epoch = fixed_epoch
+        self.set_epoch(fixed_epoch or 0)
         self._processes: DataLoader[Any] | None = None
         # (workers, 2) process and sample that each worker is at
         self._places = torch.full((max(workers, 1), 2), -1)
@@ -161,14 +166,25 @@ class Loader:
         Raises
         ------
         UsageError
-            If `epoch` is negative.
+            If `epoch` is negative, or not the one that is fixed.
         """
         if epoch < 0:
             raise UsageError(f"an epoch is at least 0, got {epoch}")
-        self._epoch, self._cursor, self._start = epoch, 0, 0
+        if self.fixed_epoch not in (None, epoch):
+            raise UsageError(f"every iteration is epoch {self.fixed_epoch} here, got {epoch}")
+        self._go_to(epoch)
+
+    def _go_to(self, epoch: int, cursor: int = 0) -> None:
+        """Let the next iteration begin at place `cursor` of `epoch`."""
+        self._epoch = epoch if self.fixed_epoch is None else self.fixed_epoch
+        self._cursor, self._start = cursor, cursor
+        self._is_through = False  # this rank had its last batch, another may have one to come
 
     def state_dict(self) -> dict[str, Any]:
-        """Return where the iteration stands: the same on every rank."""
+        """Return where the iteration stands: after the same step, the same on every rank.
+
+        A rank that has no batch in an epoch's last step is at that step when its iteration ends.
+        """
         order = self.order
         return {
             "version": _STATE,
@@ -187,7 +203,8 @@ class Loader:
         Raises
         ------
         UsageError
-            If the state is of other samples or of another order.
+            If the state is of other samples, of another order, or of an epoch that is not the
+            fixed one.
         """
         mine = self.state_dict()
         for key in mine.keys() - {"epoch", "cursor"}:
@@ -196,8 +213,8 @@ class Loader:
                     f"the state is of another loader: its {key} is {state.get(key)!r}, here it is "
                     f"{mine[key]!r}"
                 )
-        self._epoch, self._cursor = int(state["epoch"]), int(state["cursor"])
-        self._start = self._cursor
+        self.set_epoch(int(state["epoch"]))
+        self._go_to(self._epoch, int(state["cursor"]))
 
     def __iter__(self) -> Iterator[Any]:
         """Yield the batches of an epoch, from its beginning or from where a state was loaded.
@@ -207,6 +224,8 @@ class Loader:
         SampleError
             If a sample cannot be read, or a worker dies; the message names the model.
         """
+        if self._is_through:  # whoever counts batches does not come back after the last one
+            self._go_to(self._epoch + 1)
         epoch, self._cursor, self._start = self._epoch, self._start, 0
         steps = list(self.order.walk(epoch, self._cursor))
         keys = [(indices, epoch) for indices, _ in steps]
@@ -214,12 +233,12 @@ class Loader:
         left = len(steps)
         for batch, (_, after) in zip(made, steps, strict=True):
             left -= 1
-            self._cursor = after
-            if not left:  # whoever counts batches does not come back after the last one
-                self._epoch, self._cursor = epoch + 1, 0
+            self._cursor, self._is_through = after, not left
+            if self.order.ends(after):
+                self._go_to(epoch + 1)
             yield batch
-        if not steps:
-            self._epoch, self._cursor = epoch + 1, 0
+        if self._is_through or not steps:
+            self._go_to(epoch + 1)
 
     def _by_threads(self, keys: Sequence[_Key]) -> Iterator[Any]:
         """Yield batches, read ahead by threads of this process."""

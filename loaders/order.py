@@ -111,6 +111,11 @@ class Order:
         whole, rest = divmod(left, self.step)
         return whole + (not self.drop_last and rest > self.rank)
 
+    def ends(self, cursor: int) -> bool:
+        """Return whether no rank has a batch from place `cursor` on."""
+        left = self.n - cursor
+        return left < self.step if self.drop_last else left <= 0
+
     def walk(self, epoch: int, cursor: int = 0) -> Iterator[tuple[npt.NDArray[np.int64], int]]:
         """Yield this rank's batches from place `cursor` on.
 

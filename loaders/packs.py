@@ -131,7 +131,7 @@ def write_pack(
         raise UsageError("there are no clouds to pack")
     target.parent.mkdir(parents=True, exist_ok=True)
     shutil.rmtree(part, ignore_errors=True)  # of a writer that was killed
-    group = zarr.create_group(str(part), zarr_format=3, attributes=_attributes(clouds))
+    group = zarr.create_group(str(part), zarr_format=3, attributes=_attributes(clouds, chosen))
     arrays = {name: _create(group, name, len(clouds), clouds.n) for name in chosen}
     loader = Loader(clouds, _BATCH, shuffle=False, workers=workers)
     loader.set_epoch(clouds.epoch)
@@ -163,7 +163,7 @@ class PackedClouds:
     Raises
     ------
     LakeFormatError
-        If there is no pack in that folder.
+        If there is no pack in that folder, or it lacks a field that it was written with.
     UsageError
         If `n` is not between 1 and the number of points stored.
 
@@ -180,9 +180,9 @@ class PackedClouds:
         try:
             self.facts = RawArray.attributes(self.path)["breplake"]
             models = pq.read_table(self.path / "models.parquet")
-            self._arrays = {
-                name: RawArray(self.path / name) for name in FIELDS if (self.path / name).is_dir()
-            }
+            # packs of an earlier version do not say which fields they have
+            fields = self.facts.get("fields") or [f for f in FIELDS if (self.path / f).is_dir()]
+            self._arrays = {name: RawArray(self.path / name) for name in fields}
             self.snapshot = int(self.facts["snapshot"])
             self.points = self._arrays["positions"].shape[1]
         except (KeyError, OSError, TypeError, ValueError, pa.ArrowException) as error:
@@ -259,12 +259,13 @@ class PackedClouds:
         return kept[1]
 
 
-def _attributes(clouds: PointCloudDataset) -> dict[str, Any]:
+def _attributes(clouds: PointCloudDataset, fields: list[str]) -> dict[str, Any]:
     index = clouds.index
     subset = index.subset
     return {
         "breplake": {
             "pack": _FORMAT,
+            "fields": fields,
             "lake_id": index.lake.store.lake_id,
             "snapshot": index.snapshot,
             "subset": subset and subset.name,

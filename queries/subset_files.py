@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -23,7 +23,14 @@ from breplake.queries.session import Lake
 from breplake.queries.subsets import save_subset
 from breplake.schema.subset import WHOLE, Origin, Subset
 
-__all__ = ["Listed", "SubsetFile", "export_subset", "import_subset", "missing_models"]
+__all__ = [
+    "Listed",
+    "SubsetFile",
+    "check_sources",
+    "export_subset",
+    "import_subset",
+    "missing_models",
+]
 
 _FORMAT: Final = "breplake-subset"
 _VERSION: Final = 1
@@ -199,6 +206,22 @@ def missing_models(lake: Lake, file: SubsetFile) -> list[tuple[Listed, str]]:
         elif model.sha256 and there[model.model_id] != model.sha256:
             found.append((model, "of another source file"))
     return found
+
+
+def check_sources(lake: Lake, models: Sequence[Listed], place: str) -> None:
+    """Check that no model has another source file in a lake, which `place` names.
+
+    Raises
+    ------
+    UsageError
+        If one has; models that the lake lacks are no matter.
+    """
+    found = missing_models(lake, SubsetFile({}, tuple(models)))
+    if others := [(model, why) for model, why in found if why != "absent"]:
+        raise UsageError(
+            f"{len(others)} of {len(models)} models are not in snapshot {lake.snapshot.number} of "
+            f"{place}: {_named(others)}; choose other models or another lake"
+        )
 
 
 def _named(absent: list[tuple[Listed, str]]) -> str:

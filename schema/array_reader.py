@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from breplake.errors import BreplakeError, LakeFormatError, UsageError
 from breplake.schema.arrays import ARRAYS, GRID_ARRAYS, ArraySpec
-from breplake.schema.ranges import Folder, LocalFolder
+from breplake.schema.ranges import LIST, Folder, LocalFolder
 
 __all__ = ["ArrayShardReader"]
 
@@ -43,6 +43,7 @@ class ArrayShardReader:
         self._folder = LocalFolder(folder) if isinstance(folder, Path) else folder
         self._layouts: dict[str, _Layout] = {}
         self._indices: dict[tuple[str, int], npt.NDArray[np.uint64] | None] = {}
+        self._listed: frozenset[str] | None = None
 
     @property
     def grid(self) -> int:
@@ -76,7 +77,7 @@ class ArrayShardReader:
         UsageError
             If there is no such array, the shard lacks it, or the rows are not in it.
         LakeFormatError
-            If the files are damaged.
+            If a file is damaged or lost.
         """
         layout = self._layout(name)
         if not 0 <= start <= stop <= layout.rows:
@@ -138,11 +139,28 @@ class ArrayShardReader:
                 part[...] = block[low - chunk * size : high - chunk * size]
 
     def _index(self, layout: _Layout, number: int) -> npt.NDArray[np.uint64] | None:
-        """Return offset and length of each chunk of a file, or None if the file is absent."""
+        """Return offset and length of each chunk of a file, or None if there never was a file."""
         key = (layout.spec.name, number)
         if key not in self._indices:
-            self._indices[key] = _read_index(self._folder, layout, number)
+            index = _read_index(self._folder, layout, number)
+            if index is None:
+                self._check_unwritten(layout.file(number))
+            self._indices[key] = index
         return self._indices[key]
+
+    def _check_unwritten(self, file: str) -> None:
+        """Check that an absent file holds only the fill value, so that it was never written."""
+        if self._listed is None:
+            try:
+                lines = self._folder.read_list().decode().splitlines()
+            except FileNotFoundError:
+                raise LakeFormatError(
+                    f"{self._folder.name}/{file} is absent, and so is {self._folder.name}{LIST}, "
+                    "which would tell whether it is lost: copy the shard anew"
+                ) from None
+            self._listed = frozenset(line.split("  ", 1)[-1] for line in lines)
+        if file in self._listed:
+            raise LakeFormatError(f"{self._folder.name}/{file} is lost: run breplake verify")
 
 
 @dataclass(frozen=True, slots=True)

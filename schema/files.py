@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 
 from breplake.errors import UsageError
 from breplake.schema.contract import Table
+from breplake.schema.ranges import LIST
 from breplake.schema.snapshot import ARRAYS_TABLE, FileEntry
 from breplake.schema.storage import Storage
 from breplake.schema.tables import TABLES
@@ -61,7 +62,7 @@ def list_name(path: str) -> str:
     It lets one copy the folder from where files cannot be listed, and check them one by one
     (``cd arrays/s0.zarr && sha256sum --check ../s0.zarr.sha256``). Its own hash is the folder's.
     """
-    return f"{path}.sha256"
+    return path + LIST
 
 
 def compare(storage: Storage, entry: FileEntry) -> FileProblem | None:

@@ -13,7 +13,10 @@ import obstore
 if TYPE_CHECKING:
     from breplake.schema.storage import Storage
 
-__all__ = ["Folder", "LocalFolder", "RangeReader", "StoredFolder"]
+__all__ = ["LIST", "Folder", "LocalFolder", "RangeReader", "StoredFolder"]
+
+LIST: Final = ".sha256"
+"""Ending of the name of the list of a folder's files, which lies beside it."""
 
 _TAIL: Final = 1 << 16
 """Bytes fetched from a file's end at once: a Parquet footer, which every reader asks for first."""
@@ -106,6 +109,10 @@ class Folder(Protocol):
         """Return the file `path`; FileNotFoundError if there is none."""
         ...
 
+    def read_list(self) -> bytes:
+        """Return the list of the folder's files; FileNotFoundError if there is none."""
+        ...
+
     def read_range(self, path: str, start: int, size: int) -> bytes:
         """Return exactly `size` bytes from `start` on; ValueError if the file ends before."""
         ...
@@ -135,6 +142,10 @@ class LocalFolder:
     def read(self, path: str) -> bytes:
         """Return the file `path`; FileNotFoundError if there is none."""
         return (self._path / path).read_bytes()
+
+    def read_list(self) -> bytes:
+        """Return the list of the folder's files; FileNotFoundError if there is none."""
+        return self._path.with_name(self._path.name + LIST).read_bytes()
 
     def read_range(self, path: str, start: int, size: int) -> bytes:
         """Return exactly `size` bytes from `start` on; ValueError if the file ends before."""
@@ -173,6 +184,10 @@ class StoredFolder:
     def read(self, path: str) -> bytes:
         """Return the file `path`; FileNotFoundError if there is none."""
         return self._storage.read(f"{self._path}/{path}")
+
+    def read_list(self) -> bytes:
+        """Return the list of the folder's files; FileNotFoundError if there is none."""
+        return self._storage.read(self._path + LIST)
 
     def read_range(self, path: str, start: int, size: int) -> bytes:
         """Return exactly `size` bytes from `start` on; ValueError if the file ends before."""

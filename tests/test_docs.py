@@ -172,6 +172,15 @@ def test_every_command_is_documented():
         assert name in readme
 
 
+def test_what_the_readme_trains_with_has_epochs():
+    """Torch's own loader repeats the draws of one epoch, unless someone calls set_epoch."""
+    code = "".join(b.body for b in page_blocks(ROOT / "README.md") if b.language == "python")
+    assert "Loader(" in code
+    assert "torch.utils.data" not in code
+    page = (ROOT / "docs/loaders.md").read_text(encoding="utf-8")
+    assert "set_epoch(epoch)" in page.split("torch's own `DataLoader`")[1].split("\n\n")[0]
+
+
 def test_every_page_is_in_the_index():
     index = (ROOT / "docs/README.md").read_text(encoding="utf-8")
     names = {page.name for page in PAGES if page.parent.name == "docs"} - {"README.md"}

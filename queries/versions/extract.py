@@ -25,7 +25,7 @@ import pyarrow.parquet as pq
 
 from breplake.errors import NameNotFoundError, UsageError
 from breplake.queries.session import Lake
-from breplake.queries.subset_files import SubsetFile
+from breplake.queries.subset_files import Listed, SubsetFile, check_sources
 from breplake.queries.subsets import load_subset, save_subset
 from breplake.schema.copies import copy_files
 from breplake.schema.files import checked_name, compare
@@ -136,7 +136,8 @@ def extract(
     Raises
     ------
     UsageError
-        If the selection is empty, or lists a model that the snapshot lacks.
+        If the selection is empty, or lists a model that the snapshot lacks; or if a model has
+        another source file in the target, or than the list says. Then nothing is copied.
     """
     subset = selection.load_subset(source)
     with tempfile.TemporaryDirectory(prefix="breplake-") as folder:
@@ -145,7 +146,11 @@ def extract(
         target = _opened(place, source, snapshot, ids)
         with target.lock():
             head = target.head()
-            wanted = np.setdiff1d(ids, read_ids(target.storage, head.files if head else ()))
+            there = read_ids(target.storage, head.files if head else ())
+            wanted = np.setdiff1d(ids, there)
+            if head is not None and len(wanted) < len(ids):
+                here = Lake(target.root, head.number)
+                check_sources(here, stage.listed(np.intersect1d(ids, there)), str(place))
             if len(wanted) or head is None:
                 head = _copy(stage, target, wanted, progress or (lambda _done, _all: None))
     if subset is not None:
@@ -187,6 +192,16 @@ class _Stage:
             ids: _Ids = file.read(columns=["model_id"]).column("model_id").to_numpy()
         return ids
 
+    def listed(self, ids: _Ids) -> list[Listed]:
+        """Return models with the hashes of their source files."""
+        columns = "model_id, concat_ws('/', nullif(collection, ''), name) AS label, sha256"
+        found: Any = self.lake.sql(f"SELECT {columns} FROM models").to_arrow_table()
+        chosen = found.filter(pc.is_in(found.column("model_id"), value_set=pa.array(ids)))
+        return [
+            Listed(row["model_id"], "", row["label"], row["sha256"] or "")
+            for row in chosen.to_pylist()
+        ]
+
 
 def _chosen(stage: _Stage, selection: Selection, subset: Subset | None) -> _Ids:
     """Return the ids of the chosen models, ascending."""
@@ -195,6 +210,7 @@ def _chosen(stage: _Stage, selection: Selection, subset: Subset | None) -> _Ids:
         ids = subset.model_ids
     elif selection.models is not None:
         listed = SubsetFile.read(selection.models).models
+        check_sources(stage.lake, listed, stage.source.storage.name)
         ids = np.array([model.model_id for model in listed], np.int64)
     else:
         ids = _matching(stage.lake, f"SELECT model_id FROM models WHERE {selection.where}")

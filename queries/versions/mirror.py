@@ -10,7 +10,9 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from breplake.errors import LakeNotFoundError, UsageError
 from breplake.schema.copies import Copied, copy_files
@@ -20,7 +22,23 @@ from breplake.schema.storage import Storage, local_folder
 from breplake.schema.subset import Subset, subset_names, subset_path
 from breplake.schema.versions import snapshot_path
 
-__all__ = ["mirror"]
+__all__ = ["Mirrored", "mirror"]
+
+
+@dataclass(slots=True)
+class Mirrored(Copied):
+    """What a copy of a snapshot did.
+
+    Parameters
+    ----------
+    left_out : dict
+        Tags and subsets that the copy lacks, each with its snapshot: ``{"subset big": 1}``.
+    is_listed : bool
+        Whether the source tells which tags and subsets it has; if not, `left_out` is empty.
+    """
+
+    left_out: dict[str, int] = field(default_factory=dict)
+    is_listed: bool = True
 
 
 def mirror(
@@ -30,10 +48,11 @@ def mirror(
     *,
     tag: str | None = None,
     progress: Callable[[int], None] | None = None,
-) -> Copied:
-    """Copy a snapshot with all its files, its tags and its subsets.
+) -> Mirrored:
+    """Copy a snapshot with all its files, and the tags and subsets that name it.
 
-    One of both places must be a local folder.
+    One of both places must be a local folder. Where the source's names cannot be listed, no
+    subset is copied, and no tag but `tag`.
 
     Parameters
     ----------
@@ -58,15 +77,22 @@ def mirror(
     target = _target(source, place)
     document = source.storage.read(snapshot_path(snapshot.number))
     _check_history(source, target, snapshot.number, document)
-    labels = _labels(source, snapshot.number, tag)
+    labels = _labels(source, tag)
     with target.lock() if target.storage.is_local else nullcontext():
         done = copy_files(source.storage, target.storage, snapshot.files, progress)
         target.log.restore(snapshot.number, document)
         target.log.hint(max(target.numbers()))
-    for path, data in labels.items():
-        if not target.storage.create(path, data) and not _same_label(target, path, data):
+    left: dict[str, int] = {}
+    for path, label in labels.items():
+        if label.snapshot != snapshot.number:
+            if not target.storage.has(path):
+                left[label.name] = label.snapshot
+            continue
+        if not target.storage.create(path, label.data) and not _same_label(
+            target, path, label.data
+        ):
             raise UsageError(f"{target.storage.name} has another {path}: remove it there first")
-    return done
+    return Mirrored(done.files, done.bytes, done.skipped, left, source.storage.can_list)
 
 
 def _target(source: LakeStore, place: str | Path) -> LakeStore:
@@ -109,19 +135,30 @@ def _check_history(source: LakeStore, target: LakeStore, number: int, document: 
             )
 
 
-def _labels(source: LakeStore, number: int, tag: str | None) -> dict[str, bytes]:
-    """Return the documents that name a snapshot: tags and subsets."""
+class _Label(NamedTuple):
+    """A document that names a snapshot."""
+
+    name: str
+    snapshot: int
+    data: bytes
+
+
+def _labels(source: LakeStore, tag: str | None) -> dict[str, _Label]:
+    """Return the tags and subsets of the source by path, as far as it tells them."""
     storage = source.storage
     if storage.can_list:
-        tags = [name for name, tagged in source.tags().items() if tagged == number]
-        subsets = [subset_path(name) for name in subset_names(storage)]
+        tags = source.tags()
+        subsets = {subset_path(name): name for name in subset_names(storage)}
     else:
-        tags, subsets = [tag] if tag else [], []
-    found = {path: storage.read(path) for path in (f"tags/{name}.json" for name in tags)}
-    for path in subsets:
+        tags, subsets = {tag: source.snapshot(tag).number} if tag else {}, {}
+    found = {
+        path: _Label(f"tag {name}", number, storage.read(path))
+        for name, number in tags.items()
+        for path in [f"tags/{name}.json"]
+    }
+    for path, name in subsets.items():
         data = storage.read(path)
-        if Subset.from_bytes(data, path).snapshot == number:
-            found[path] = data
+        found[path] = _Label(f"subset {name}", Subset.from_bytes(data, path).snapshot, data)
     return found
 
 

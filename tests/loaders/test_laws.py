@@ -164,6 +164,100 @@ def test_resumed_on_another_number_of_ranks(clouds):
     assert all(torch.equal(a, b) for a, b in zip(found, order, strict=True))
 
 
+class _Numbers:
+    """Samples that are their own numbers."""
+
+    seed, fingerprint = 0, "numbers"
+
+    def __init__(self, n):
+        self.n = n
+
+    def __len__(self):
+        return self.n
+
+    def label(self, index):
+        return str(index)
+
+    def batch(self, indices, epoch, visit):
+        return [(epoch, index) for index in indices.tolist()]
+
+
+def after_steps(loaders, steps):
+    """Let all ranks take steps together, epoch after epoch; return what they got."""
+    running, found = [iter(loader) for loader in loaders], []
+    for _ in range(steps):
+        batches = [next(each, None) for each in running]
+        if not any(batches):  # of all: the next epoch
+            running = [iter(loader) for loader in loaders]
+            batches = [next(each, None) for each in running]
+        found += [sample for batch in batches for sample in batch or []]
+    return found
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    full=st.integers(0, 2),
+    rest=st.integers(0, 6),
+    sizes=st.tuples(st.integers(1, 4), st.integers(1, 4)),
+    ranks=st.tuples(st.integers(1, 4), st.integers(1, 4)),
+    drop_last=st.booleans(),
+)
+def test_all_ranks_agree_where_they_stand(full, rest, sizes, ranks, drop_last):
+    """After every step, the uneven ones too; so others can go on from the state of any rank."""
+    n = full * sizes[0] * ranks[0] + rest  # with so few left over, some ranks have a batch less
+
+    def loaders(which, drop_last):
+        return [
+            Loader(_Numbers(n), sizes[which], threads=0, rank=r, ranks=ranks[which],
+                   drop_last=drop_last)
+            for r in range(ranks[which])
+        ]  # fmt: skip
+
+    per_epoch = max(map(len, loaders(0, drop_last)))
+    for steps in range(2 * per_epoch + 1):
+        first = loaders(0, drop_last)
+        found = after_steps(first, steps)
+        states = [loader.state_dict() for loader in first]
+        assert all(state == states[0] for state in states)
+        at = states[0]["epoch"]
+        assert at == (steps // per_epoch if per_epoch else 0)
+        second = loaders(1, False)
+        for loader, state in zip(second, states * 4, strict=False):
+            loader.load_state_dict(state)
+        found += [sample for loader in second for batch in loader for sample in batch]
+        assert len(set(found)) == len(found)
+        assert {index for epoch, index in found if epoch == at} == set(range(n))
+        assert [loader.epoch for loader in second] == [at + 1] * len(second)
+
+
+@pytest.mark.parametrize("steps", range(5))
+@pytest.mark.parametrize(("workers", "ranks"), [((0, 2), 3), ((2, 0), 1)])
+def test_uneven_ranks_resumed_on_other_ranks_and_workers(steps, workers, ranks):
+    first = [
+        Loader(_Numbers(9), 4, rank=r, ranks=2, workers=workers[0], **WORKERS) for r in range(2)
+    ]
+    found = after_steps(first, steps)
+    states = [loader.state_dict() for loader in first]
+    assert states[0] == states[1]
+    assert (states[0]["epoch"], states[0]["cursor"]) == (steps // 2, steps % 2 * 8)
+    for rank in range(ranks):
+        loader = Loader(_Numbers(9), 2, rank=rank, ranks=ranks, workers=workers[1], **WORKERS)
+        loader.load_state_dict(states[1])
+        found += [sample for _ in range(3 - steps // 2) for batch in loader for sample in batch]
+    assert sorted(found) == [(epoch, index) for epoch in range(3) for index in range(9)]
+
+
+def test_a_rank_that_counts_its_batches_begins_the_next_epoch():
+    """It does not ask after its last batch, and has one less than the others."""
+    loader = Loader(_Numbers(9), 4, rank=1, ranks=2)
+    assert len(loader) == 1
+    assert [next(iter(loader))[0][0] for _ in range(3)] == [0, 1, 2]
+    loader.set_epoch(0)
+    for _ in loader:
+        loader.set_epoch(0)  # also while the last batch is there
+    assert loader.epoch == 0
+
+
 def test_the_last_batch_ends_the_epoch(clouds):
     """Lightning takes as many batches as there are, and does not ask for one more."""
     loader = Loader(clouds, 5)
@@ -239,12 +333,34 @@ def test_an_error_names_the_model(tiny_lake, options):
         list(Loader(broken, 1, **options))
 
 
+@pytest.mark.parametrize("options", [{"threads": 0}, {"workers": 2, **WORKERS}])
+def test_an_epoch_can_be_fixed(clouds, options):
+    loader = Loader(clouds, 5, fixed_epoch=2, **options)
+    other = Loader(clouds, 5)
+    other.set_epoch(2)
+    expected = epoch(other)
+    running = iter(loader)
+    for _ in range(len(loader) - 1):
+        next(running)
+    state = loader.state_dict()
+    assert epoch(loader) == epoch(loader) == expected
+    assert loader.epoch == 2
+    loader.load_state_dict(state)
+    assert epoch(loader) == expected[-1:]
+    assert epoch(loader) == expected
+    for change in (lambda: loader.set_epoch(1), lambda: loader.load_state_dict(other.state_dict())):
+        with pytest.raises(UsageError, match="every iteration is epoch 2"):
+            change()
+
+
 def test_mistakes(clouds):
     for wrong in ({"workers": -1}, {"threads": -1}, {"prefetch": 0}, {"rank": 0}, {"ranks": 2}):
         with pytest.raises(UsageError):
             Loader(clouds, 2, **wrong)
     with pytest.raises(UsageError, match="epoch"):
         Loader(clouds, 2).set_epoch(-1)
+    with pytest.raises(UsageError, match="epoch"):
+        Loader(clouds, 2, fixed_epoch=-1)
 
 
 def resident() -> int:

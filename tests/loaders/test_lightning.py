@@ -8,7 +8,7 @@ import pytest
 import torch
 
 import breplake
-from breplake.loaders import MeshDataset
+from breplake.loaders import MeshDataset, Rotate
 from breplake.queries.subsets import create_subset
 
 lightning = pytest.importorskip("lightning")
@@ -102,6 +102,58 @@ def test_a_run_that_is_killed_goes_on_with_the_next_batch(lake, tmp_path, end, o
     )  # fmt: skip
     assert len(first.seen) == end
     assert first.seen + second.seen == whole.seen
+
+
+class _Validated(_Seen):
+    """Notes the clouds of each validation and test pass, too."""
+
+    def __init__(self):
+        super().__init__()
+        self.passes = []
+
+    def on_validation_epoch_start(self):
+        self.passes.append([])
+
+    on_test_epoch_start = on_validation_epoch_start
+
+    def validation_step(self, batch, number):
+        self.passes[-1].append(batch.positions.numpy().tobytes())
+
+    test_step = validation_step
+
+
+def validated(lake, **options):
+    from breplake.loaders.lightning import LakeDataModule
+
+    def clouds(lake, subset, split):
+        meshes = MeshDataset(lake, subset=subset, split=split)
+        return meshes.points(8, per_model=3, transforms=[Rotate()])
+
+    splits = dict.fromkeys(("train", "validation", "test"), "all")
+    return LakeDataModule(lake, "s", clouds, 4, splits=splits, **options)
+
+
+def test_every_validation_sees_the_same_points(lake, tmp_path):
+    whole = _Validated()
+    trainer(tmp_path, 3).fit(whole, validated(lake))
+    first, *others = whole.passes
+    assert len(first) > 0
+    full = [run for run in others if len(run) == 3]  # the sanity check may be a part
+    assert len(full) == 3
+    assert full[0] == full[1] == full[2]
+    assert first == full[0][: len(first)]
+
+    resumed = _Validated()
+    run = trainer(tmp_path, 1)
+    run.fit(_Validated(), validated(lake))
+    run.save_checkpoint(tmp_path / "c.ckpt")
+    data = validated(lake, threads=0)
+    again = trainer(tmp_path, 2)
+    again.fit(resumed, data, ckpt_path=tmp_path / "c.ckpt", weights_only=False)
+    assert resumed.passes[-1] == full[0]
+    for _ in range(2):
+        again.test(resumed, data, verbose=False)
+        assert resumed.passes[-1] == full[0]
 
 
 def test_splits_that_are_not_there(lake):

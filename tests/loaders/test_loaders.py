@@ -13,7 +13,7 @@ import torch
 from torch.utils.data import DataLoader
 
 import breplake
-from breplake.errors import MissingExtraError, UsageError
+from breplake.errors import LakeFormatError, MissingExtraError, UsageError
 from breplake.loaders import (
     MeshBatch,
     MeshDataset,
@@ -254,6 +254,22 @@ def test_points_without_a_normal_are_left_out(own_lake, new_shard, monkeypatch):
 
     monkeypatch.setattr(dataset.index, "read", read)
     assert dataset.points(50)[0].patches.unique().tolist() == [0]
+
+
+def test_lost_arrays_are_no_zeros(own_lake):
+    for file in own_lake.glob("arrays/s1.zarr/*/c/**/*"):
+        if file.is_file():
+            file.unlink()
+    dataset = MeshDataset(own_lake)
+    read = set()
+    for i in range(len(dataset)):
+        if dataset.name(i) in ("big", "wide"):
+            with pytest.raises(LakeFormatError, match=r"s1\.zarr/.* is lost: run breplake verify"):
+                dataset[i]
+        else:
+            assert dataset[i].positions.any()
+            read.add(dataset.name(i))
+    assert read == {"small", "long/flat"}
 
 
 def test_without_torch_the_extra_is_named(monkeypatch):

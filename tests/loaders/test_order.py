@@ -96,6 +96,19 @@ def test_ranks_can_be_made_equal(n, batch_size, ranks):
     assert max(lengths) - min(lengths) <= 1
 
 
+@given(
+    n=numbers,
+    batch_size=st.integers(1, 40),
+    ranks=st.integers(1, 4),
+    drop_last=st.booleans(),
+    cursor=numbers,
+)
+def test_an_epoch_ends_when_no_rank_has_a_batch(n, batch_size, ranks, drop_last, cursor):
+    every = [Order(n, batch_size, rank=r, ranks=ranks, drop_last=drop_last) for r in range(ranks)]
+    left = [order.batches(cursor) for order in every]
+    assert [order.ends(cursor) for order in every] == [not any(left)] * ranks
+
+
 @pytest.mark.parametrize(
     "wrong",
     [{"batch_size": 0}, {"seed": -1}, {"block": 0}, {"rank": 2, "ranks": 2}, {"rank": -1}],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pickle
+import shutil
 
 import numpy as np
 import pytest
@@ -154,6 +155,16 @@ def test_damage_is_named(clouds, tmp_path):
     place.write_text(json.dumps(document | {"codecs": [*document["codecs"], {"name": "zstd"}]}))
     with pytest.raises(LakeFormatError, match="not raw"):
         RawArray(made.path / "normals")
+
+
+def test_lost_files_are_named(clouds, tmp_path):
+    made = write_pack(clouds, tmp_path / "pack")
+    (made.path / "types/c/0/0").unlink()
+    with pytest.raises(LakeFormatError, match=r"types/c/0/0 is damaged.*write the pack anew"):
+        PackedClouds(made.path).batch(np.arange(3), 0)
+    shutil.rmtree(made.path / "normals")
+    with pytest.raises(LakeFormatError, match=r"normals is not a raw array"):
+        PackedClouds(made.path)
 
 
 def test_pickle(pack):

@@ -165,6 +165,10 @@ def test_damage(own_lake, bucket):
     storage.overwrite("arrays/s0.zarr/position/c/0/0", b"short")
     with pytest.raises(LakeFormatError, match=r"position in s3://.*/s0\.zarr is damaged"):
         breplake.open(bucket).arrays("s0").read("position", 0, 1)
+    storage.remove("arrays/s0.zarr/normal/c/0/0")
+    assert not breplake.open(bucket).arrays("s0").read("curvature", 0, 9).any()  # never written
+    with pytest.raises(LakeFormatError, match=r"s3://.*/s0\.zarr/normal/c/0/0 is lost.* verify"):
+        breplake.open(bucket).arrays("s0").read("normal", 0, 1)
     with pytest.raises(UsageError, match="breplake pull"):
         there.sandbox().sql("SELECT 1")
 

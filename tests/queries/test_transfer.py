@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 import breplake
 from breplake.cli import app
 from breplake.errors import LakeFormatError, NameNotFoundError, UsageError
+from breplake.queries.subset_files import export_subset
 from breplake.queries.subsets import create_subset
 from breplake.queries.versions.extract import Selection, extract
 from breplake.queries.versions.mirror import mirror
@@ -260,6 +261,50 @@ def test_more_models_are_added(source, tmp_path):
     assert set(lake.scan("models").collect()["name"]) == {"big", "small"}
 
 
+@pytest.fixture
+def changed(tmp_path, new_shard, monkeypatch):
+    """A lake whose model big comes of another source file than that of ``source``."""
+    real = new_shard.__globals__["box_rows"]
+
+    def other_file(name, size, shard):
+        rows = real(name, size, shard)
+        rows["models"][0]["sha256"] = "0" * 64
+        return rows
+
+    store = LakeStore.create(tmp_path / "changed")
+    with monkeypatch.context() as patch:
+        patch.setitem(new_shard.__globals__, "box_rows", other_file)
+        new_shard(store, "t0", {"big": (2, 2, 2)})
+    store.commit(store.register_shard("t0"), **META)
+    return store
+
+
+@pytest.mark.parametrize("remote", [False, True])
+@pytest.mark.parametrize("choice", ["subset", "models", "where"])
+def test_a_model_of_another_source_file_is_no_copy(source, changed, web, tmp_path, remote, choice):
+    listed = tmp_path / "list.csv"
+    here = breplake.open(source.root, 2)
+    export_subset(here, here.subset("large"), listed)
+    chosen = {"subset": "large", "models": listed, "where": "area > 100"}[choice]
+    store = LakeStore.open(web) if remote else source
+    with pytest.raises(UsageError, match=r"1 of 1 models .*boxes/big \(of another source file\)"):
+        extract(store, changed.root, store.snapshot(2), Selection(**{choice: chosen}))
+    assert changed.numbers() == [1]
+    lake = breplake.open(changed.root)
+    assert set(lake.scan("models").collect()["name"]) == {"big"}
+    with pytest.raises(NameNotFoundError):
+        lake.subset("large")
+
+
+def test_a_list_of_other_source_files_is_refused(source, changed, tmp_path):
+    here = breplake.open(source.root, 2)
+    export_subset(here, here.subset("large"), tmp_path / "list.csv")
+    chosen = Selection(models=tmp_path / "list.csv")
+    with pytest.raises(UsageError, match=r"1 of 2 models .*boxes/big \(of another source file\)"):
+        extract(changed, tmp_path / "some", changed.snapshot(), chosen)
+    assert not (tmp_path / "some").exists()
+
+
 def test_a_subset_goes_along(source, web, tmp_path):
     subset = breplake.open(source.root).subset("large")
     remote = LakeStore.open(web)
@@ -317,6 +362,36 @@ def test_a_list_of_models(source, tmp_path):
     file.write_text("model_id\n12345\n")
     with pytest.raises(UsageError, match="1 chosen models, 12345 say"):
         extract(source, tmp_path / "some", source.snapshot(), Selection(models=file))
+
+
+def test_tags_and_subsets_that_are_left_out_are_named(source, web, tmp_path):
+    def call(*arguments):
+        result = CliRunner().invoke(app, [str(a) for a in arguments])
+        assert result.exit_code == 0, result.output
+        return result.stdout
+
+    place = tmp_path / "copy"
+    said = call("publish", place, "--lake", source.root)
+    assert "left out: subset large (of snapshot 2), tag v1 (of snapshot 2)\n" in said
+    command = f"breplake publish {place} --lake {source.root}"
+    assert f"{command} --at 2 copies a snapshot with what names it, --subset NAME" in said
+    assert mirror(source, tmp_path / "two", source.snapshot()).left_out == {
+        "subset large": 2, "tag v1": 2
+    }  # fmt: skip
+    # the commands that are named do it
+    assert "left out" not in call(*command.split()[1:], "--at", "2")
+    copy = LakeStore.open(place)
+    assert copy.tags() == {"v1": 2}
+    assert breplake.open(place).subset("large").snapshot == 2
+    assert "left out" not in call("publish", place, "--lake", source.root)  # they are there now
+
+    said = call("pull", web, "--lake", tmp_path / "pulled", "--at", "v1")
+    command = f"breplake pull {web} --lake {tmp_path / 'pulled'}"
+    assert "subsets, and tags other than --at, were left out" in said
+    assert f"{command} --subset NAME copies a subset" in said
+    assert LakeStore.open(tmp_path / "pulled").tags() == {"v1": 2}
+    call(*command.split()[1:], "--subset", "large")
+    assert len(breplake.open(tmp_path / "pulled").subset("large")) == 2
 
 
 def test_commands(source, web, tmp_path):

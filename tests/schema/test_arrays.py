@@ -19,7 +19,8 @@ from breplake.schema.arrays import (
     ArrayShardWriter,
     Offsets,
 )
-from breplake.schema.storage import folder_hash
+from breplake.schema.ranges import LocalFolder
+from breplake.schema.storage import folder_hash, folder_list
 
 
 def random_model(rng, vertices, normals, faces):
@@ -150,6 +151,34 @@ def test_damage_is_named(tmp_path):
         ArrayShardReader(tmp_path / "d.zarr").read("position", 0, 4)
     with pytest.raises(LakeFormatError, match="not an array of a lake"):
         ArrayShardReader(tmp_path / "nothing").read("position", 0, 4)
+
+
+def test_a_lost_file_is_no_file_of_zeros(tmp_path, monkeypatch):
+    """A file of nothing but zeros is never written; the shard's list tells it from a lost one."""
+    model = random_model(np.random.default_rng(0), 4, 6, 2)
+    model["curvature"][:] = 0
+    model["feature"][:] = 0
+    path, lines = tmp_path / "d.zarr", tmp_path / "d.zarr.sha256"
+    with ArrayShardWriter(path) as writer:
+        writer.append(model)
+    lines.write_text(folder_list(path))
+    reads = []
+    real = LocalFolder.read_list
+    monkeypatch.setattr(LocalFolder, "read_list", lambda self: reads.append(0) or real(self))
+    reader = ArrayShardReader(path)
+    reader.read("position", 0, 4)
+    assert not reads
+    for _ in range(2):
+        assert not reader.read("curvature", 0, 6).any()
+        assert not reader.read("feature", 0, 4).any()
+    assert len(reads) == 1
+    (path / "normal/c/0/0").unlink()
+    for _ in range(2):
+        with pytest.raises(LakeFormatError, match=r"d\.zarr/normal/c/0/0 is lost.*breplake verify"):
+            reader.read("normal", 0, 6)
+    lines.unlink()
+    with pytest.raises(LakeFormatError, match=r"curvature/c/0/0 is absent, and so is .*sha256"):
+        ArrayShardReader(path).read("curvature", 0, 6)
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")  # that is what is tested

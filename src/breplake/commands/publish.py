@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
@@ -15,11 +15,14 @@ from breplake.errors import BreplakeError, UsageError
 
 if TYPE_CHECKING:
     from breplake.queries.versions.extract import Extracted, Selection
-    from breplake.schema.copies import Copied
+    from breplake.queries.versions.mirror import Mirrored
     from breplake.schema.lake import LakeStore
     from breplake.schema.snapshot import Snapshot
 
 __all__ = ["publish", "pull"]
+
+_SHOWN: Final = 10
+"""Names that a message lists."""
 
 _WhereOption = Annotated[
     str | None,
@@ -46,9 +49,10 @@ def publish(
 ) -> None:
     """Copy a snapshot to a place from which others pull or read it.
 
-    It is the same snapshot of the same lake there, with its tags and subsets. A selection of
-    models becomes a lake of its own; in a folder that holds a lake, it is added to that. Files
-    that are there already are not copied again.
+    It is the same snapshot of the same lake there, with the tags and subsets that name it; those
+    of other snapshots are left out, and named. A selection of models becomes a lake of its own; in
+    a folder that holds a lake, it is added to that. Files that are there already are not copied
+    again.
     """
     from breplake.schema.lake import LakeStore
     from breplake.schema.storage import local_folder
@@ -58,7 +62,9 @@ def publish(
         selection = _selection(where, subset, models)
         snapshot = _snapshot(source, at, selection)
         if selection is None:
-            _say_copied(_mirror(source, place, snapshot, at), place, snapshot)
+            done = _mirror(source, place, snapshot, at)
+            _say_copied(done, place, snapshot)
+            _say_left_out(done, f"breplake publish {place} --lake {lake}")
         elif (folder := local_folder(place)) is not None:
             _say_extracted(_extract(source, folder, snapshot, selection), place)
         else:
@@ -85,9 +91,10 @@ def pull(
 ) -> None:
     """Copy a snapshot from elsewhere to a local folder, checking every file's hash.
 
-    It is the same snapshot of the same lake here, with its tags and subsets. A selection of
-    models is added to the lake here, which is made if it is not there. Interrupted, the same
-    command goes on where it was.
+    It is the same snapshot of the same lake here, with the tags and subsets that name it; those of
+    other snapshots are left out, and named. From http(s), where names cannot be listed, only a tag
+    given to --at comes along; --subset copies a subset. A selection of models is added to the lake
+    here, which is made if it is not there. Interrupted, the same command goes on where it was.
     """
     from breplake.schema.lake import LakeStore
     from breplake.schema.storage import local_folder
@@ -99,7 +106,9 @@ def pull(
         selection = _selection(where, subset, models)
         snapshot = _snapshot(source, at, selection)
         if selection is None:
-            _say_copied(_mirror(source, lake, snapshot, at), str(lake), snapshot)
+            done = _mirror(source, lake, snapshot, at)
+            _say_copied(done, str(lake), snapshot)
+            _say_left_out(done, f"breplake pull {place} --lake {lake}")
         else:
             _say_extracted(_extract(source, lake, snapshot, selection), str(lake))
 
@@ -132,7 +141,7 @@ def _snapshot(source: LakeStore, at: str | None, selection: Selection | None) ->
     return source.snapshot(chosen.snapshot if chosen else at)
 
 
-def _mirror(source: LakeStore, place: str | Path, snapshot: Snapshot, at: str | None) -> Copied:
+def _mirror(source: LakeStore, place: str | Path, snapshot: Snapshot, at: str | None) -> Mirrored:
     from rich.progress import (
         BarColumn,
         DownloadColumn,
@@ -177,10 +186,29 @@ def _extract(
         return extract(source, place, snapshot, selection, progress=tell)
 
 
-def _say_copied(done: Copied, place: str, snapshot: Snapshot) -> None:
+def _say_copied(done: Mirrored, place: str, snapshot: Snapshot) -> None:
     typer.echo(
         f"{place} has snapshot {snapshot.number}: {done.files:,} files copied "
         f"({sized(done.bytes)}), {done.skipped:,} were there"
+    )
+
+
+def _say_left_out(done: Mirrored, command: str) -> None:
+    """Name the tags and subsets that a copy lacks, and the commands that copy them."""
+    if not done.is_listed:
+        typer.echo(
+            "subsets, and tags other than --at, were left out, as names cannot be listed there: "
+            f"{command} --subset NAME copies a subset, --at TAG a tag"
+        )
+    if not done.left_out:
+        return
+    names = [f"{name} (of snapshot {number})" for name, number in sorted(done.left_out.items())]
+    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
+    numbers = sorted(set(done.left_out.values()))
+    typer.echo(
+        f"left out: {', '.join(names[:_SHOWN])}{more}\n"
+        f"{command} --at {numbers[-1]} copies a snapshot with what names it, "
+        "--subset NAME a subset with its models alone"
     )
 
 
