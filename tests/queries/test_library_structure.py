@@ -41,9 +41,10 @@ def test_genus_where_loops_touch(tmp_path: Path):
         cq.exporters.export(part, str(tmp_path / "parts" / f"{name}.step"))
     ingest([tmp_path / "parts"], tmp_path / "lake", settings=Settings(max_edge=0.2), message="m")
     lake = breplake.open(tmp_path / "lake")
-    loops = dict(lake.sql("SELECT m.name, max(n_loops) FROM patches JOIN models AS m USING (model_id) "
-                          "GROUP BY m.name").fetchall())  # fmt: skip
-    assert loops == {"one": 2, "two": 3, "drilled": 4}
+    query = (
+        "SELECT m.name, max(n_loops) FROM patches JOIN models AS m USING (model_id) GROUP BY ALL"
+    )
+    assert dict(lake.sql(query).fetchall()) == {"one": 2, "two": 3, "drilled": 4}
     found = {name: row["genus"] for name, row in by(ask(lake, "genus")).items()}
     assert found == {"one": 0, "two": 0, "drilled": 1}
 
@@ -53,7 +54,7 @@ def test_mirror_images_are_sought_by_distance(tiny_lake: Path):
     lake = breplake.open(tiny_lake)
     identity = lake.model("big")["model_id"]
     rng = np.random.default_rng(5)
-    half = rng.uniform(-1, 1, (200, 3)) + [2, 0, 0]
+    half = rng.uniform([1, -1, -1], [3, 1, 1], (200, 3))
     off = rng.normal(size=half.shape)
     off /= np.linalg.norm(off, axis=1, keepdims=True)
     ends = np.array([[-3, -2, -2], [3, 2, 2]])  # decide where the middle is
