@@ -454,7 +454,7 @@ def test_a_file_says_what_stayed_together(scaled, tmp_path):
 
 def test_models_without_a_fingerprint_are_of_their_own_form():
     groups = np.array([-5, 8, 8, 2**62], np.int64)
-    prints = [None, None, f"{2**64 - 5:016x}-00-1", f"{3:016x}-+-1"]
+    prints = [None, None, f"{2**64 - 5:016x}-00-1", f"{3:016x}-+--1"]
     assert form_groups(groups, prints).tolist() == [-5, 8, -5, 3]
 
 
