@@ -45,7 +45,8 @@ class Dihedral:
     angle_min, angle_max : float
         Extremes over the samples, rad; NaN where no sample has both normals.
     convexity : {"convex", "concave", "mixed"} or None
-        Side to which the material bends; None where the curve is smooth.
+        Sides to which the material bends at the samples; None where no angle is above 0.5 degrees.
+        A curve that `classify` calls smooth may have one: a single smooth sample makes it smooth.
     sharp : bool
         ABC's rule: ``|n0.n1| <= 0.95`` at every sample.
     """

@@ -39,7 +39,7 @@ EDGE_FEATURES: Final = (
     "length",  # in diagonals of the model
     "angle_min",  # between the outward normals, rad
     "angle_max",
-    *(f"is_{name}" for name in _CONVEXITY),  # none of them where smooth
+    *(f"is_{name}" for name in _CONVEXITY),  # `curves.convexity`; none where it is null
     "sharp",
 )
 """Columns of `GraphSample.edge_attr`."""

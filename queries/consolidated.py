@@ -4,7 +4,7 @@ A lake has a file of every table for each shard of some hundred models. That sui
 readers of single models; SQL over a million models opens thousands of files, and most of its time
 goes into that. A consolidated copy holds the same rows in one file with full row groups. Its name
 is a hash of the files it is made from, so it is used at exactly the snapshots that have these.
-It is no part of any snapshot and may be deleted at any time.
+It is no part of any snapshot and may be deleted whenever no session reads it.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from breplake.errors import StorageError, UsageError
+from breplake.errors import NameNotFoundError, StorageError, UsageError
 from breplake.schema.contract import Table
 from breplake.schema.snapshot import FileEntry
 from breplake.schema.tables import TABLES
@@ -54,8 +54,8 @@ def consolidate(
 ) -> list[Path]:
     """Write copies of tables for SQL; `lake.sql`, `lake.query` and `lake.scan` then read these.
 
-    Sessions that are open already go on reading the shards. Copies of the same tables at other
-    snapshots are deleted.
+    Sessions that are open already go on reading what they read, shards or copies: of the copies
+    of the same tables, only those are deleted that fit no snapshot any more.
 
     Parameters
     ----------
@@ -92,11 +92,23 @@ def consolidate(
                 _write(path, TABLES[name], lake.files(name))
             except OSError as error:
                 raise StorageError(f"cannot write {path}: {error.strerror or error}") from error
-        for other in path.parent.glob(f"{name}-*.parquet"):
-            if other != path:
-                other.unlink(missing_ok=True)
         made.append(path)
+        _remove_outlived(lake, name)
     return made
+
+
+def _remove_outlived(lake: Lake, table: str) -> None:
+    """Delete the copies of a table that fit no snapshot: sessions may read all others."""
+    # copies are listed first, so that the snapshot of each is committed when snapshots are read
+    copies = set((lake.root / FOLDER).glob(f"{table}-*.parquet"))
+    for number in lake.store.numbers():
+        try:
+            entries = lake.store.snapshot(number).table_files(table)
+        except NameNotFoundError:  # collected meanwhile
+            continue
+        copies.discard(consolidated_path(lake.root, table, entries))
+    for copy in copies:
+        copy.unlink(missing_ok=True)
 
 
 def _write(path: Path, table: Table, files: Sequence[str]) -> None:

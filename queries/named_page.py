@@ -37,7 +37,9 @@ print(rounded.fetchall())
 print(lake.query("surface_types").pl())
 ```
 
-`--where` narrows any of them down to models for which a condition on the columns of `models` holds.
+`--where` narrows any of them down to models for which a condition on the columns of `models` holds;
+those that read `failures` (`failures_by_kind`, `benchmark_rejects`) refuse it, since most failures
+are of inputs that are no models.
 `lake.query` returns what `lake.sql` does: a DuckDB relation, which converts to Arrow, polars and
 pandas.
 """

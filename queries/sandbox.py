@@ -132,7 +132,7 @@ class Sandbox:
         """Run the process on a request; return what it said and its exit code."""
         deadline = time.monotonic() + self.timeout
         process = subprocess.Popen(
-            [sys.executable, "-I", "-B", "-c", _RUN, json.dumps([p for p in sys.path if p])],
+            [sys.executable, "-I", "-B", "-c", _RUN, json.dumps(_import_path())],
             stdin=request,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -177,6 +177,18 @@ class Sandbox:
         )
 
 
+def _import_path() -> list[str]:
+    """Return where this process finds modules, for one that works in another folder."""
+    try:
+        here = os.getcwd()
+    except FileNotFoundError:  # it was deleted
+        return [place for place in sys.path if os.path.isabs(place)]
+    return [os.path.join(here, place) for place in sys.path]
+
+
 def _stopped(code: int) -> str:
     how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
-    return f"the query's process was stopped ({how}), most likely for want of memory: ask for less"
+    said = f"the query's process ended without an answer ({how})"
+    if -code in (signal.SIGKILL, signal.SIGABRT):
+        return f"{said}, most likely for want of memory: ask for less"
+    return f"{said}: see whether {sys.executable} starts, and imports breplake, in another folder"

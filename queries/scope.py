@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
+from breplake.errors import UsageError
 from breplake.queries.views import DERIVED, derived_sql
 from breplake.schema.tables import TABLES
 
 __all__ = ["over_models"]
 
 _WORD = re.compile(r"\w+")
+_COMMENT = re.compile(r"--.*")
 
 
 def over_models(sql: str, where: str) -> str:
@@ -30,8 +32,19 @@ def over_models(sql: str, where: str) -> str:
     -------
     str
         A SELECT statement.
+
+    Raises
+    ------
+    UsageError
+        If it reads ``failures``, most of which are of inputs that are no models: no condition on
+        models can be applied to these.
     """
-    # failures are of inputs, most of which are no models: they are left as they are
+    if _words(_COMMENT.sub("", sql), ["failures"]):
+        raise UsageError(
+            "where is a condition on models, and this query reads failures, most of which are of "
+            "inputs that are no models: ask without it, or add a condition on failures to the "
+            "query's SQL, which breplake query NAME --sql prints"
+        )
     tables = [name for name in TABLES if name not in ("models", "failures")]
     narrowed = {
         name: f"SELECT * FROM main.{name} SEMI JOIN models USING (model_id)" for name in tables

@@ -303,8 +303,8 @@ class Lake:
         NameNotFoundError
             If there is no query or parameter of that name.
         UsageError
-            If a value is not of its parameter's type, a required one is missing, or `where` is
-            wrong.
+            If a value is not of its parameter's type, a required one is missing, `where` is
+            wrong, or the query reads ``failures``, to which `where` cannot be applied.
         """
         from breplake.queries.named import named_query
         from breplake.queries.scope import over_models

@@ -121,6 +121,7 @@ def export_subset(lake: Lake, subset: Subset, path: Path) -> None:
         "sql": subset.sql,
         "seed": subset.seed,
         "limit": subset.limit,
+        "together": subset.together,
         "splits": dict(subset.fractions),
         "lake_id": subset.lake_id,
         "snapshot": subset.snapshot,
@@ -182,6 +183,7 @@ def import_subset(lake: Lake, name: str, file: SubsetFile, *, partial: bool = Fa
         model_ids=np.array([m.model_id for m in models], np.int64),
         codes=np.array([place[m.split] for m in models], np.int16),
         time=datetime.now(UTC).isoformat(timespec="seconds"),
+        together=facts.get("together", "copies"),
         origin=Origin(facts["lake_id"], facts["name"], facts["snapshot"]) if facts else None,
     )
     if not absent and facts and subset.hash != facts["hash"]:

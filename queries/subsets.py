@@ -3,16 +3,19 @@
 Which split a model is in is a pure function of the seed and its duplicate group, whatever the
 other models are.  So copies and near-copies stay together, and a model keeps its split when the
 lake grows.  The price is that shares are met on average and not exactly.
+
+Scaled copies and mirror images are other duplicate groups.  Splitting by form keeps them together
+too.
 """
 
 from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any, Final
+from typing import Any, Final, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -21,13 +24,15 @@ import pyarrow as pa
 from breplake.errors import NameNotFoundError, UsageError
 from breplake.queries.names import did_you_mean
 from breplake.queries.session import Lake
-from breplake.schema.subset import WHOLE, Subset, subset_names, subset_path
+from breplake.schema.fingerprint import Fingerprint
+from breplake.schema.subset import WHOLE, Subset, Together, subset_names, subset_path
 
 __all__ = [
     "Subset",
     "SubsetDiff",
     "create_subset",
     "diff_subsets",
+    "form_groups",
     "load_subset",
     "save_subset",
     "split_codes",
@@ -36,6 +41,7 @@ __all__ = [
 
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 _SHOWN: Final = 5
+_SHARED: Final = " or ".join(get_args(Together))
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +73,7 @@ def create_subset(
     split: Mapping[str, float] | None = None,
     seed: int = 0,
     limit: int | None = None,
+    together: Together = "copies",
 ) -> Subset:
     """Select models and store them in the lake under a name, for good.
 
@@ -87,6 +94,9 @@ def create_subset(
     limit : int, optional
         Take at most so many: those whose hash with the seed is least, so that nearly the same
         ones are taken when models are added.
+    together : {"copies", "form"}
+        Which models share a split: those of a duplicate group, or those of a form, that is scaled
+        copies and mirror images too. See `form_groups`.
 
     Returns
     -------
@@ -103,9 +113,13 @@ def create_subset(
         raise UsageError("say which models: either sql or where, and not both")
     if limit is not None and limit < 1:
         raise UsageError(f"a limit is at least 1, got {limit}")
+    if together not in get_args(Together):
+        raise UsageError(f"models stay together by {_SHARED}, got {together!r}")
     # the line break ends a comment in the condition
     query = sql if sql is not None else f"SELECT model_id FROM models WHERE ({where}\n)"
-    ids, groups = _select(lake, query)
+    ids, groups, prints = _select(lake, query)
+    if together == "form":
+        groups = form_groups(groups, prints)
     if limit is not None and limit < len(ids):
         kept = np.sort(np.argsort(_uniform(ids, seed), kind="stable")[:limit])
         ids, groups = ids[kept], groups[kept]
@@ -121,6 +135,7 @@ def create_subset(
         model_ids=ids,
         codes=split_codes(groups, fractions, seed),
         time=datetime.now(UTC).isoformat(timespec="seconds"),
+        together=together,
     )
     return save_subset(lake, subset)
 
@@ -232,6 +247,30 @@ def split_codes(
     return codes.astype(np.int16)[inverse]
 
 
+def form_groups(
+    groups: npt.NDArray[np.int64], fingerprints: Sequence[str | None]
+) -> npt.NDArray[np.int64]:
+    """Return a number for each form: the same for copies, scaled copies and mirror images.
+
+    Parameters
+    ----------
+    groups : numpy.ndarray
+        ``(n,)`` int64, duplicate group of each model.
+    fingerprints : sequence of str or None
+        Of each model; one without is of a form of its own, numbered as its group.
+
+    Returns
+    -------
+    numpy.ndarray
+        ``(n,)`` int64, the form's 64 bits.
+    """
+    forms = [
+        group if text is None else int(Fingerprint.parse(text).form, 16)
+        for group, text in zip(groups.tolist(), fingerprints, strict=True)
+    ]
+    return np.array([form % 2**64 for form in forms], np.uint64).view(np.int64)
+
+
 def _uniform(numbers: npt.NDArray[np.int64], seed: int) -> npt.NDArray[np.float64]:
     """Return ``(n,)`` numbers in [0, 1), each a hash of the seed and one of `numbers`."""
     digests = (hashlib.sha256(f"{seed} {n}".encode()).digest()[:8] for n in numbers.tolist())
@@ -256,8 +295,10 @@ def _checked_fractions(split: Mapping[str, float] | None) -> dict[str, float]:
     return dict(split)
 
 
-def _select(lake: Lake, query: str) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return ascending ids and their duplicate groups."""
+def _select(
+    lake: Lake, query: str
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64], list[str | None]]:
+    """Return ascending ids, their duplicate groups and their fingerprints."""
     import duckdb
 
     try:
@@ -272,7 +313,9 @@ def _select(lake: Lake, query: str) -> tuple[npt.NDArray[np.int64], npt.NDArray[
     ids = np.unique(chosen.to_numpy().astype(np.int64))
     if not len(ids):
         raise UsageError(f"the query selects no model: {query.strip()}")
-    table: Any = lake.sql("SELECT model_id, duplicate_group FROM models ORDER BY model_id")
+    table: Any = lake.sql(
+        "SELECT model_id, duplicate_group, fingerprint FROM models ORDER BY model_id"
+    )
     models = table.to_arrow_table()
     known = models.column("model_id").to_numpy()
     if len(strange := np.setdiff1d(ids, known)):
@@ -281,4 +324,5 @@ def _select(lake: Lake, query: str) -> tuple[npt.NDArray[np.int64], npt.NDArray[
             f"{lake.snapshot.number}: {', '.join(map(str, strange[:_SHOWN]))}"
         )
     at = np.searchsorted(known, ids)
-    return ids, models.column("duplicate_group").to_numpy()[at]
+    groups, prints = models.column("duplicate_group"), models.column("fingerprint")
+    return ids, groups.to_numpy()[at], prints.take(at).to_pylist()

@@ -12,7 +12,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Final
+from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -22,13 +22,25 @@ import pyarrow.parquet as pq
 from breplake.errors import LakeFormatError, NameNotFoundError
 from breplake.schema.storage import Storage
 
-__all__ = ["FOLDER", "WHOLE", "Origin", "Subset", "pinned_snapshots", "subset_names", "subset_path"]
+__all__ = [
+    "FOLDER",
+    "WHOLE",
+    "Origin",
+    "Subset",
+    "Together",
+    "pinned_snapshots",
+    "subset_names",
+    "subset_path",
+]
 
 FOLDER: Final = "subsets"
 """Folder of a lake that holds its subsets."""
 
 WHOLE: Final = "all"
 """Name of the only split of a subset that was not split."""
+
+Together: TypeAlias = Literal["copies", "form"]
+"""Which models share a split: copies, or also scaled copies and mirror images."""
 
 _KEY: Final = b"breplake.subset"
 
@@ -80,6 +92,8 @@ class Subset:
         When it was made: UTC, ISO 8601.
     origin : Origin or None
         Where it was made first, if it came from another lake.
+    together : {"copies", "form"}
+        Which models were to share a split; subsets of before there was a choice say nothing.
     """
 
     name: str
@@ -93,6 +107,7 @@ class Subset:
     codes: npt.NDArray[np.int16] = field(repr=False, compare=False)
     time: str = field(compare=False)
     origin: Origin | None = None
+    together: Together = "copies"
 
     def __len__(self) -> int:
         return len(self.model_ids)
@@ -161,6 +176,8 @@ class Subset:
             "hash": self.hash,
             "origin": origin and [origin.lake_id, origin.name, origin.snapshot],
         }
+        if self.together != "copies":  # the default is not written, for readers that know no other
+            facts["together"] = self.together
         split = pa.DictionaryArray.from_arrays(pa.array(self.codes), pa.array(self.splits))
         columns = {"model_id": pa.array(self.model_ids), "split": split.cast(pa.string())}
         table = pa.table(columns).replace_schema_metadata({_KEY: json.dumps(facts)})

@@ -296,11 +296,17 @@ CURVES = Table(
             "rad",
             nullable=True,
         ),
-        Column("convexity", _STR, "convex, concave or mixed; null where smooth", nullable=True),
+        Column(
+            "convexity",
+            _STR,
+            "convex, concave or mixed, by where the normals differ by more than 0.5 degrees, of "
+            "smooth curves too; null where they nowhere do or the patches' orientations disagree",
+            nullable=True,
+        ),
         Column(
             "stored_continuity", _STR, "continuity recorded in the file: C0, G1 ...", nullable=True
         ),
-        Column("sharp", _BOOL, "sharp by ABC's rule (|n0.n1| <= 0.95)"),
+        Column("sharp", _BOOL, "sharp by ABC's rule (|n0.n1| <= 0.95 at every sample)"),
         Column("vert_indices", pa.list_(_I32), "mesh vertices along the curve", nullable=True),
         Column("vert_parameters", pa.list_(_F64), "their parameters t", nullable=True),
         Column("shape", _I32, "the edge in shapes", nullable=True),

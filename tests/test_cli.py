@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -83,6 +84,34 @@ def test_json_holds_what_json_can(call):
     assert json.loads(call("sql", query, "-f", "json").stdout) == [
         {"a": None, "b": 30, "c": "2020-01-02"}
     ]
+
+
+def test_json_has_ids_that_no_reader_rounds(call, tiny_lake):
+    ids = [i for (i,) in breplake.open(tiny_lake).sql("SELECT model_id FROM models").fetchall()]
+    assert any(abs(i) > 2**53 for i in ids)
+    query = f"SELECT model_id AS a, [model_id] AS b, {2**53} AS c FROM models"
+    rows = json.loads(call("sql", query, "-f", "json").stdout)
+    expected = [str(i) if abs(i) > 2**53 else i for i in ids]
+    assert sorted(map(str, expected)) == sorted(str(row["a"]) for row in rows)
+    assert {type(row["a"]) for row in rows} == {type(i) for i in expected}
+    assert all(row["b"] == [row["a"]] and row["c"] == 2**53 for row in rows)
+
+
+def test_columns_of_one_name(call, tmp_path):
+    query = "SELECT 1 AS n, 2 AS n"
+    assert call("sql", query, "-f", "csv").stdout == "n,n\n1,2\n"
+    fails(call("sql", query, "-f", "json"), "several columns are called 'n'")
+    fails(call("sql", query, "-o", tmp_path / "x.parquet"), "give them other names with AS")
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_lake_in_the_wrong_place(call, tiny_lake, tmp_path):
+    for command in (["info"], ["snapshots"], ["subset", "list"]):
+        result = call(*command, tiny_lake)
+        assert result.exit_code == 2
+        said = "".join(re.findall(r"[^\s│╭╮╰╯─]+", result.stderr))
+        assert f"namethelakewith--lake{tiny_lake}" in said
+    assert "--lake" not in call("info", tmp_path).stderr
 
 
 @pytest.mark.parametrize("ending", ["csv", "json", "parquet", "txt"])

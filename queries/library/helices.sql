@@ -19,7 +19,7 @@
 --   most_radius (mm): radius of the outermost
 WITH on_cylinders AS (
     SELECT
-        e.model_id, e.curve_id, e.t_min, e.t_max, p.radius,
+        e.model_id, e.patch_id, e.curve_id, e.t_min, e.t_max, p.radius,
         coalesce(b.type, c.type) AS type,
         coalesce(b.direction, c.direction) AS direction,
         coalesce(b.poles, c.poles) AS poles,
@@ -34,7 +34,8 @@ WITH on_cylinders AS (
         ON c.type = 'Trimmed' AND b.model_id = c.model_id AND b.pcurve_id = c.basis
     WHERE p.type = 'Cylinder'
 ),
--- angle u and height v that the curve covers; splines that are straight lines count too
+-- angle u and height v that the curve covers, once where it lies between two patches of a cylinder;
+-- splines that are straight lines count too
 covered AS (
     SELECT model_id, curve_id, radius, left_axes, du, dv
     FROM (
@@ -54,6 +55,7 @@ covered AS (
             abs((pole.u - poles[1].u) * dv - (pole.v - poles[1].v) * du) * radius
             FOR pole IN poles
         ]) <= 1e-3 * (radius * radius * du * du + dv * dv))
+    QUALIFY row_number() OVER (PARTITION BY model_id, curve_id ORDER BY patch_id, abs(du) DESC) = 1
 )
 SELECT
     model_id,

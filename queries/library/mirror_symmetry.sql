@@ -19,11 +19,14 @@
 --   planes: number of planes with at least min_share
 WITH centred AS (
     SELECT
-        model_id, x - (lx + hx) / 2 AS x, y - (ly + hy) / 2 AS y, z - (lz + hz) / 2 AS z,
-        $tolerance * greatest(hx - lx, hy - ly, hz - lz) AS cell
+        model_id, corner_id, n,
+        x - (lx + hx) / 2 AS x, y - (ly + hy) / 2 AS y, z - (lz + hz) / 2 AS z,
+        $tolerance * greatest(hx - lx, hy - ly, hz - lz) AS reach,
+        -- a few times the tolerance: most images are then sought in one cell of the grid
+        16 * reach AS cell
     FROM (
         SELECT
-            model_id, point.x AS x, point.y AS y, point.z AS z,
+            model_id, corner_id, point.x AS x, point.y AS y, point.z AS z,
             min(point.x) OVER model AS lx, max(point.x) OVER model AS hx,
             min(point.y) OVER model AS ly, max(point.y) OVER model AS hy,
             min(point.z) OVER model AS lz, max(point.z) OVER model AS hz,
@@ -34,29 +37,57 @@ WITH centred AS (
     WHERE n >= $min_corners AND greatest(hx - lx, hy - ly, hz - lz) > 0
 ),
 -- the grid is shifted so that round numbers are not on its borders
-cells AS (
+places AS (
     SELECT
-        model_id,
-        floor(x / cell + 0.382) AS x, floor(y / cell + 0.382) AS y, floor(z / cell + 0.382) AS z,
-        floor(-x / cell + 0.382) AS mx, floor(-y / cell + 0.382) AS my,
-        floor(-z / cell + 0.382) AS mz
+        *,
+        floor(x / cell + 0.382) AS i, floor(y / cell + 0.382) AS j, floor(z / cell + 0.382) AS k
     FROM centred
 ),
-places AS (SELECT DISTINCT model_id, x, y, z FROM cells),
+images AS (
+    SELECT
+        model_id, corner_id, reach, cell, axis,
+        if(axis = 'x', -x, x) AS x, if(axis = 'y', -y, y) AS y, if(axis = 'z', -z, z) AS z
+    FROM centred, (VALUES ('x'), ('y'), ('z')) AS axes (axis)
+),
+-- each image with the cells that the ball about it meets
+sought AS (
+    SELECT
+        *,
+        unnest(list_distinct([
+            floor((z - reach) / cell + 0.382), floor((z + reach) / cell + 0.382)
+        ])) AS k
+    FROM (
+        SELECT
+            *,
+            unnest(list_distinct([
+                floor((y - reach) / cell + 0.382), floor((y + reach) / cell + 0.382)
+            ])) AS j
+        FROM (
+            SELECT
+                *,
+                unnest(list_distinct([
+                    floor((x - reach) / cell + 0.382), floor((x + reach) / cell + 0.382)
+                ])) AS i
+            FROM images
+        )
+    )
+),
+found AS (
+    SELECT DISTINCT s.model_id, s.axis, s.corner_id
+    FROM sought AS s
+    JOIN places AS p
+        ON p.model_id = s.model_id AND p.i = s.i AND p.j = s.j AND p.k = s.k
+        AND (p.x - s.x) ** 2 + (p.y - s.y) ** 2 + (p.z - s.z) ** 2 <= s.reach ** 2
+),
 shares AS (
     SELECT
         c.model_id,
-        count(*) AS n_corners,
-        count(px.model_id) / count(*) AS x,
-        count(py.model_id) / count(*) AS y,
-        count(pz.model_id) / count(*) AS z
-    FROM cells AS c
-    LEFT JOIN places AS px
-        ON px.model_id = c.model_id AND px.x = c.mx AND px.y = c.y AND px.z = c.z
-    LEFT JOIN places AS py
-        ON py.model_id = c.model_id AND py.x = c.x AND py.y = c.my AND py.z = c.z
-    LEFT JOIN places AS pz
-        ON pz.model_id = c.model_id AND pz.x = c.x AND pz.y = c.y AND pz.z = c.mz
+        any_value(c.n) AS n_corners,
+        count(*) FILTER (axis = 'x') / n_corners AS x,
+        count(*) FILTER (axis = 'y') / n_corners AS y,
+        count(*) FILTER (axis = 'z') / n_corners AS z
+    FROM centred AS c
+    LEFT JOIN found AS f ON f.model_id = c.model_id AND f.corner_id = c.corner_id
     GROUP BY c.model_id
 )
 SELECT

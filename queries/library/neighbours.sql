@@ -11,10 +11,12 @@
 --   share: their share of all curves between two patches
 --   length (mm): length of these curves
 --   mean_angle (rad): mean angle between the normals, weighted with length
---   smooth: pairs that meet smoothly by the paper's rule (below about 18 degrees)
---   convex: pairs that meet at an outer edge
---   concave: pairs that meet at an inner edge
---   mixed: pairs whose edge is convex here and concave there, and nonmanifold ones
+--   smooth: pairs whose normals differ by less than 18.2 degrees somewhere along the curve, as
+--     by the paper's rule
+--   convex: other pairs, that meet at an outer edge
+--   concave: other pairs, that meet at an inner edge
+--   mixed: other pairs, whose edge is convex here and concave there
+--   unknown: pairs at nonmanifold curves, and where the patches' orientations disagree
 SELECT
     least(p.type, q.type) AS type_a,
     greatest(p.type, q.type) AS type_b,
@@ -26,7 +28,8 @@ SELECT
     count(*) FILTER (a.kind = 'smooth') AS smooth,
     count(*) FILTER (a.kind = 'sharp' AND a.convexity = 'convex') AS convex,
     count(*) FILTER (a.kind = 'sharp' AND a.convexity = 'concave') AS concave,
-    pairs - smooth - convex - concave AS mixed
+    count(*) FILTER (a.kind = 'sharp' AND a.convexity = 'mixed') AS mixed,
+    pairs - smooth - convex - concave - mixed AS unknown
 FROM adjacency AS a
 JOIN patches AS p ON p.model_id = a.model_id AND p.patch_id = a.patch_a
 JOIN patches AS q ON q.model_id = a.model_id AND q.patch_id = a.patch_b

@@ -7,7 +7,8 @@
 -- curve_type       : Line, Circle ... Other
 -- kind             : sharp, smooth, nonmanifold ...
 -- angle_min, angle_max : range of the angle between the outward normals along the curve (rad)
--- convexity        : convex, concave or mixed; null where smooth
+-- convexity        : convex, concave or mixed, of smooth curves too; null where the normals nowhere
+--                    differ by more than 0.5 degrees or the patches' orientations disagree
 -- sharp            : sharp by ABC's rule
 -- length           : arc length of the curve (mm)
 WITH uses AS (SELECT DISTINCT model_id, curve_id, patch_id FROM coedges)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from itertools import takewhile
-from typing import Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any, Final
 
 import typer
 from typer.core import TyperGroup
@@ -30,6 +32,10 @@ from breplake.errors import BreplakeError
 __all__ = ["app", "main"]
 
 
+_NEEDLESS: Final = re.compile(r"Got unexpected extra arguments?(?:\(s\))? \((.*)\)")
+"""What typer says of arguments that a command does not take."""
+
+
 class _Commands(TyperGroup):
     """Commands whose errors are one clear line and exit code 2."""
 
@@ -40,10 +46,24 @@ class _Commands(TyperGroup):
         except BrokenPipeError:
             raise
         except Exception as error:
+            _name_lake_option(error)
             if ctx.params.get("debug") or not _is_expected(error):
                 raise
             typer.echo(f"breplake: {_one_line(str(error))}", err=True)
             raise typer.Exit(2) from error
+
+
+def _name_lake_option(error: Exception) -> None:
+    """Say in the error of a needless argument that is a lake how a lake is given."""
+    needless = _NEEDLESS.fullmatch(getattr(error, "message", None) or "")
+    if needless is None:
+        return
+    from breplake.schema.lake import MARKER
+
+    for word in (needless[1], *needless[1].split()):
+        if "://" in word or Path(word, MARKER).is_file():
+            error.message = f"{error.message}: name the lake with --lake {word}"  # type: ignore[attr-defined]
+            return
 
 
 def _is_expected(error: Exception) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from datetime import timedelta
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -14,6 +15,7 @@ from breplake.cli import app
 from breplake.errors import NameNotFoundError, StorageError, UsageError
 from breplake.queries import consolidated
 from breplake.queries.consolidated import FOLDER, consolidate
+from breplake.schema.gc import Retention, collect
 from breplake.schema.tables import TABLES
 
 
@@ -47,12 +49,27 @@ def test_a_copy_serves_its_snapshot_alone(own_lake: Path, new_shard):
     assert newest.sql("SELECT count(*) FROM models").fetchall() == [(6,)]
     assert breplake.open(own_lake, at=2).sources("models") == [str(copy)]
     (newer,) = consolidate(newest)
-    assert not copy.exists()  # one copy of a table is kept
+    assert newer != copy
     assert breplake.open(own_lake).sql("SELECT count(*) FROM models").fetchall() == [(6,)]
     assert breplake.open(own_lake, at=2).sql("SELECT count(*) FROM models").fetchall() == [(5,)]
     time = newer.stat().st_mtime_ns
     assert consolidate(newest) == [newer]
     assert newer.stat().st_mtime_ns == time  # it was there
+
+
+def test_copies_stay_as_long_as_their_snapshot(own_lake: Path, new_shard):
+    (copy,) = consolidate(breplake.open(own_lake))
+    reader = breplake.open(own_lake)  # at snapshot 2
+    assert reader.sql("SELECT count(*) FROM models").fetchall() == [(5,)]
+    store = reader.store
+    new_shard(store, "s2", {"new": (1, 1, 1)})
+    store.commit(store.register_shard("s2"), message="m", tools={}, config_hash="c")
+    (newer,) = consolidate(breplake.open(own_lake))
+    assert reader.sql("SELECT count(*) FROM models").fetchall() == [(5,)]
+    collect(store, Retention(keep=1), grace=timedelta(0))
+    consolidate(breplake.open(own_lake))
+    assert list((own_lake / FOLDER).iterdir()) == [newer]
+    assert not copy.exists()
 
 
 def test_row_groups_are_full(own_lake: Path, monkeypatch: pytest.MonkeyPatch):

@@ -97,12 +97,13 @@ def test_turned_parts(samples: Lake):
 
 HELICES = """
 CREATE OR REPLACE VIEW patches AS SELECT
-    $id AS model_id, 0 AS patch_id, 'Cylinder' AS type, 2.0 AS radius,
+    $id AS model_id, unnest([0, 1]) AS patch_id, 'Cylinder' AS type, 2.0 AS radius,
     {'x': 1.0, 'y': 0.0, 'z': 0.0} AS x_axis, {'x': 0.0, 'y': 1.0, 'z': 0.0} AS y_axis,
     {'x': 0.0, 'y': 0.0, 'z': 1.0} AS z_axis;
 CREATE OR REPLACE VIEW coedges AS SELECT
-    $id AS model_id, 0 AS patch_id, unnest([5, 6, 9]) AS curve_id, unnest([7, 8, 9]) AS pcurve,
-    0.0 AS t_min, unnest([$length, 1.0, 1.0]) AS t_max;
+    $id AS model_id, unnest([0, 1, 0, 0]) AS patch_id,
+    unnest([5, 5, 6, 9]) AS curve_id, unnest([7, 7, 8, 9]) AS pcurve,
+    0.0 AS t_min, unnest([$length, $length, 1.0, 1.0]) AS t_max;
 CREATE OR REPLACE VIEW pcurves AS
     SELECT
         $id AS model_id, 7 AS pcurve_id, 'Line' AS type, NULL::INT AS basis,
@@ -118,7 +119,8 @@ CREATE OR REPLACE VIEW pcurves AS
         [{'u': 0.0, 'v': 1.0}, {'u': 3.0, 'v': 1.0}, {'u': 6.0, 'v': 5.5}] AS poles;
 """
 """Curves on a cylinder of radius 2: a line and a spline of one and a half turns and pitch 3, one
-rising to the right and one to the left, and a spline that bends and so is no helix."""
+rising to the right and one to the left, and a spline that bends and so is no helix. The line lies
+between two patches of the cylinder."""
 
 
 def test_helices(tiny_lake: Path):

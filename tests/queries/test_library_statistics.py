@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
+import breplake
 from breplake.queries.session import Lake
 from breplake.schema.types import CURVE_TYPES, SURFACE_TYPES
 
@@ -69,9 +72,30 @@ def test_neighbours(samples: Lake):
     assert rounds["concave"] == 1  # the foot of the boss
     assert found["Plane", "Plane"]["mean_angle"] == pytest.approx(1.5708, abs=1e-3)
     every = ask(samples, "neighbours")
-    assert all(r["smooth"] + r["convex"] + r["concave"] + r["mixed"] == r["pairs"] for r in every)
+    kinds = ("smooth", "convex", "concave", "mixed", "unknown")
+    assert all(sum(row[kind] for kind in kinds) == row["pairs"] for row in every)
     assert sum(row["share"] for row in every) == pytest.approx(1)
     assert all(row["type_a"] <= row["type_b"] for row in every)
+
+
+MEETING = """
+CREATE OR REPLACE VIEW patches AS
+    SELECT $id AS model_id, unnest([0, 1]) AS patch_id, 'Plane' AS type;
+CREATE OR REPLACE VIEW adjacency AS
+    SELECT
+        $id AS model_id, 0 AS patch_a, 1 AS patch_b, 1.0 AS length, 1.0 AS angle_min,
+        1.0 AS angle_max, unnest(['sharp', 'sharp', 'sharp', 'nonmanifold', 'smooth']) AS kind,
+        unnest(['mixed', 'convex', NULL, NULL, 'mixed']) AS convexity
+"""
+"""Curves between two patches; at the third, their orientations disagree."""
+
+
+def test_neighbours_of_no_side_are_not_mixed(tiny_lake: Path):
+    lake = breplake.open(tiny_lake)
+    lake.connection.execute(MEETING.replace("$id", f"{lake.model('big')['model_id']}::BIGINT"))
+    (row,) = ask(lake, "neighbours")
+    kinds = ("smooth", "convex", "concave", "mixed", "unknown")
+    assert [row[kind] for kind in kinds] == [1, 1, 0, 1, 2]
 
 
 def test_spline_degrees(samples: Lake):

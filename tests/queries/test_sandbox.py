@@ -20,6 +20,7 @@ from typer.testing import CliRunner
 import breplake
 from breplake.cli import app
 from breplake.errors import BreplakeError, LakeFormatError, LimitError, UsageError
+from breplake.queries import sandbox
 from breplake.queries.sandbox import Sandbox
 from breplake.queries.session import Lake
 from breplake.schema.storage import Storage, folder_hash
@@ -140,6 +141,29 @@ def test_damage_is_told(own_lake: Path):
     (own_lake / "tables/faces/s1.parquet").unlink()
     with pytest.raises(LakeFormatError, match=r"s1\.parquet"):
         lake.sandbox(timeout=60).sql("SELECT sum(v0) FROM faces")
+
+
+def test_modules_are_found_from_any_folder(lake: Lake, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(sys, "path", [os.path.relpath(place) for place in sys.path])
+    assert lake.sandbox(timeout=60).sql("SELECT 1 AS a").to_pylist() == [{"a": 1}]
+
+
+@pytest.mark.parametrize(
+    ("program", "how", "memory"),
+    [
+        ("raise SystemExit(3)", "exit code 3", False),
+        ("import os; os.kill(os.getpid(), 9)", "signal SIGKILL", True),
+        ("import os; os.abort()", "signal SIGABRT", True),
+        ("import os; os.kill(os.getpid(), 15)", "signal SIGTERM", False),
+    ],
+)
+def test_an_end_without_an_answer(
+    lake: Lake, monkeypatch: pytest.MonkeyPatch, program: str, how: str, memory: bool
+):
+    monkeypatch.setattr(sandbox, "_RUN", program)
+    with pytest.raises(LimitError, match=how) as caught:
+        lake.sandbox(timeout=60).sql("SELECT 1")
+    assert ("for want of memory" in str(caught.value)) == memory
 
 
 # What it refuses

@@ -23,6 +23,7 @@ from breplake.queries.subset_files import SubsetFile, export_subset, import_subs
 from breplake.queries.subsets import (
     create_subset,
     diff_subsets,
+    form_groups,
     load_subset,
     save_subset,
     split_codes,
@@ -406,3 +407,69 @@ def test_two_writers_of_one_name(own_lake, tmp_path):
     assert breplake.open(copy).subset("a") == first  # a lake may be moved
     with pytest.raises(UsageError, match="immutable"):
         save_subset(lake, replace(first, seed=9))
+
+
+# Which models share a split
+
+PRINTS = {"small": f"{7:016x}-++-1", "big": f"{7:016x}-++-9", "wide": f"{7:016x}----1"}
+"""A part, the part in another size, its mirror image; the other models have no fingerprint."""
+
+
+@pytest.fixture
+def scaled(lake):
+    lake.connection.execute(
+        "CREATE TABLE given AS SELECT * REPLACE (CASE name "
+        + " ".join(f"WHEN '{name}' THEN '{text}'" for name, text in PRINTS.items())
+        + " END AS fingerprint) FROM models; CREATE OR REPLACE VIEW models AS FROM given"
+    )
+    return lake
+
+
+def test_scaled_copies_and_mirror_images_share_a_split_if_asked_to(scaled):
+    where = f"name IN {tuple(PRINTS)}"
+    made = {
+        together: [
+            create_subset(scaled, f"{together}{seed}", where=where, split=HALVES, seed=seed,
+                          together=together)
+            for seed in range(8)
+        ]
+        for together in ("copies", "form")
+    }  # fmt: skip
+    assert any(len(set(found.codes.tolist())) == 2 for found in made["copies"])
+    assert all(len(set(found.codes.tolist())) == 1 for found in made["form"])
+    assert len({found.codes[0] for found in made["form"]}) == 2
+    assert load_subset(scaled, "form3").together == "form"
+    assert load_subset(scaled, "copies3").together == "copies"
+    with pytest.raises(UsageError, match="copies or form, got 'hand'"):
+        create_subset(scaled, "x", where=where, together="hand")
+
+
+def test_a_file_says_what_stayed_together(scaled, tmp_path):
+    made = create_subset(scaled, "a", where="true", split=HALVES, together="form")
+    for ending in ("json", "csv"):
+        path = tmp_path / f"a.{ending}"
+        export_subset(scaled, made, path)
+        assert import_subset(scaled, f"b{ending}", SubsetFile.read(path)).together == "form"
+
+
+def test_models_without_a_fingerprint_are_of_their_own_form():
+    groups = np.array([-5, 8, 8, 2**62], np.int64)
+    prints = [None, None, f"{2**64 - 5:016x}-00-1", f"{3:016x}-+--1"]
+    assert form_groups(groups, prints).tolist() == [-5, 8, -5, 3]
+
+
+def test_a_default_subset_is_written_as_before(lake):
+    """Its document has no new fact, and the hash depends on ids and splits alone."""
+    made = create_subset(lake, "a", where="true", split=HALVES)
+    facts = json.loads(pq.read_schema(lake.root / subset_path("a")).metadata[b"breplake.subset"])
+    assert "together" not in facts
+    assert replace(made, together="form").hash == made.hash
+
+
+def test_an_empty_split_is_told(own_lake):
+    arguments = ["subset", "create", "a", "--where", "name = 'big'", "-l", str(own_lake)]
+    result = CliRunner().invoke(app, [*arguments, "--split", "train=0.5,val=0.5"])
+    assert result.exit_code == 0
+    (line,) = result.stderr.splitlines()
+    assert "has no model: 1 models are few" in line
+    assert CliRunner().invoke(app, [*arguments[:2], "b", *arguments[3:]]).stderr == ""

@@ -55,6 +55,10 @@ RowsOption = Annotated[
 """``--rows``."""
 
 
+_EXACT = 2**53
+"""Whole numbers up to here are exact as doubles."""
+
+
 def answer(
     ask: Callable[[], duckdb.DuckDBPyRelation],
     chosen: Format | None,
@@ -86,6 +90,8 @@ def answer(
         raise UsageError("Parquet is not for a terminal: name a file with -o FILE")
     try:
         relation = ask()
+        if chosen in (Format.json, Format.parquet):
+            _require_distinct(relation.columns, chosen)
         if output is None:
             _write(relation, chosen, sys.stdout, rows)
         else:
@@ -93,6 +99,15 @@ def answer(
                 _write(relation, chosen, stream, None)
     except duckdb.Error as error:
         raise UsageError(str(error)) from error
+
+
+def _require_distinct(names: list[str], chosen: Format) -> None:
+    """Refuse columns of one name where they are known by it."""
+    if twice := sorted({name for name in names if names.count(name) > 1}):
+        raise UsageError(
+            f"several columns are called {twice[0]!r}, and {chosen} has one of each name: "
+            "give them other names with AS"
+        )
 
 
 def _format_of(output: Path | None) -> Format:
@@ -175,7 +190,7 @@ def _is_number(kind: str) -> bool:
 
 
 def _write_json(relation: duckdb.DuckDBPyRelation, stream: IO[str]) -> None:
-    """Write an array of objects, one on each line."""
+    """Write an array of objects, one on each line; 64-bit ids are text."""
     names = relation.columns
     opening = "[\n"
     for row in relation.iter_rows():
@@ -204,13 +219,21 @@ def _cell(value: Any) -> Any:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON can hold it; what is not a finite number is null."""
+    """Return a value as JSON can hold it.
+
+    Numbers that are not finite are null; whole ones that readers who have nothing but doubles
+    would round are text.
+    """
     if isinstance(value, float):
         return value if math.isfinite(value) else None
+    if isinstance(value, Decimal):
+        if value != value.to_integral_value():
+            return float(value)
+        value = int(value)
+    if isinstance(value, int) and abs(value) > _EXACT:
+        return str(value)
     if value is None or isinstance(value, bool | int | str):
         return value
-    if isinstance(value, Decimal):
-        return int(value) if value == value.to_integral_value() else float(value)
     if isinstance(value, dict):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -21,7 +21,7 @@ def consolidate(
     """Copy tables of a lake of many shards into one file each, which SQL then reads.
 
     Worth it from some hundred shards on. The copies lie in the lake's folder, serve this snapshot
-    alone, and may be deleted.
+    alone, and may be deleted when no session reads them. Those of removed snapshots are.
     """
     import breplake
     from breplake.queries.consolidated import consolidate as copy

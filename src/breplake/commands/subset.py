@@ -13,7 +13,7 @@ from breplake.errors import UsageError
 if TYPE_CHECKING:
     from breplake.loaders.points import Source
     from breplake.queries.session import Lake
-    from breplake.schema.subset import Subset
+    from breplake.schema.subset import Subset, Together
 
 __all__ = ["subset"]
 
@@ -41,6 +41,13 @@ def create(
         str | None,
         typer.Option("--split", help="Shares, as train=0.8,test=0.2; copies stay together."),
     ] = None,
+    together: Annotated[
+        str,
+        typer.Option(
+            "--together",
+            help="What shares a split: copies, or form (scaled copies and mirror images too).",
+        ),
+    ] = "copies",
     seed: Annotated[int, typer.Option("--seed", help="Another one splits otherwise.")] = 0,
     limit: Annotated[
         int | None, typer.Option("--limit", min=1, help="Take at most so many models.")
@@ -61,10 +68,17 @@ def create(
         if partial:
             raise UsageError("--partial goes with --from")
         made = create_subset(
-            opened, name, sql=sql, where=where, split=_fractions(split), seed=seed, limit=limit
-        )
+            opened, name, sql=sql, where=where, split=_fractions(split), seed=seed, limit=limit,
+            together=cast("Together", together),
+        )  # fmt: skip
+        for empty in (split for split, count in made.counts().items() if not count):
+            typer.echo(
+                f"split {empty} has no model: {len(made)} models are few for these shares, "
+                "which are met on average; another --seed splits otherwise",
+                err=True,
+            )
     else:
-        if (sql, where, split, limit, seed) != (None, None, None, None, 0):
+        if (sql, where, split, limit, seed, together) != (None, None, None, None, 0, "copies"):
             raise UsageError("--from takes the models and splits of the file, and no other option")
         file = SubsetFile.read(source)
         made = import_subset(opened, name, file, partial=partial)
@@ -85,6 +99,7 @@ def show(name: _NameArgument, lake: LakeOption = "lake") -> None:
         "hash": found.hash,
         "models": f"{len(found):,}",
         "splits": _splits(found),
+        "together": found.together if len(found.splits) > 1 and found.sql else None,
         "seed": found.seed,
         "limit": found.limit,
         "snapshot": found.snapshot,
