@@ -110,6 +110,8 @@ def run_models(
             processes.wait(fetching)
             for future in [future for future in fetching if future.done()]:
                 result = fetching.pop(future)
+                if isinstance(future.exception(), KeyboardInterrupt):
+                    return  # a download that saw `stop` before we did: all in work is given up
                 if _fetched(future, result):
                     _attempt(processes, result, settings, 0)
                 else:
