@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-__all__ = ["KILLED", "KINDS", "STAGES", "Failure", "advise"]
+__all__ = ["CHANGED", "KILLED", "KINDS", "STAGES", "Failure", "advise"]
 
 STAGES: Final = ("plan", "fetch", "read", "load", "brep", "import", "mesh", "truth", "write")
 """Stages of a model's way into the lake, in order."""
@@ -48,6 +48,8 @@ KINDS: Final[dict[str, str]] = {
 }
 """Stable, append-only codes of failures, each with what it means for the user."""
 
+CHANGED: Final = ("read", "hash-mismatch")
+"""Stage and kind of a failure of files that changed between planning and reading."""
 
 KILLED: Final = ("timeout", "mesh-hang", "killed-signal", "worker-died")
 """Kinds in which the worker did not live to count its CPU time."""

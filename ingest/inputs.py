@@ -94,6 +94,11 @@ class Input:
         object.__setattr__(self, "shown", self.shown or printable(self.path))
 
     @property
+    def files(self) -> list[Path]:
+        """All files, in the order in which they are hashed."""
+        return [self.path, *(path for _, path in self.beside)]
+
+    @property
     def companions(self) -> dict[str, Path]:
         """ABC's files beside a CAD file by kind, or all of them where there is none."""
         own = {"features": self.path} if self.format == ABC_FORMAT else {}
