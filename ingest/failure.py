@@ -34,6 +34,7 @@ KINDS: Final[dict[str, str]] = {
     "bad-features": "the features YAML cannot be understood; get the published file again",
     "bad-mesh": "the trimesh OBJ cannot be understood; get the published file again",
     "features-mismatch": "the features are not of this model; check that the files belong together",
+    "areas-failed": "exact areas could not be derived; those of Open CASCADE's quadrature are kept",
     "count-mismatch": "Gmsh sees other entities than the B-Rep has; the exact rows are kept",
     "mesh-failed": "the model cannot be meshed this way; check the faulty entity in the CAD system",
     "mesh-incomplete": "its boundary is probably faulty; repair the face in the CAD system",

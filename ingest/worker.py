@@ -147,7 +147,7 @@ class _Model:
         with KERNEL():
             valid = BRepCheck_Analyzer(shapes.compound).IsValid()
         self.tables = brep_tables(self.id, brep)
-        if areas := swept_areas(self.tables):
+        if areas := self._swept_areas():
             brep.set_areas(areas)
             self.tables = brep_tables(self.id, brep)
         self.row = (
@@ -163,6 +163,17 @@ class _Model:
         )
         self._identify()
         return brep
+
+    def _swept_areas(self) -> dict[int, float]:
+        """Return exact areas by patch; none where they resist, for Open CASCADE's are at hand."""
+        try:
+            return swept_areas(self.tables)
+        except MemoryError as error:
+            self._note(error)
+        except Exception as error:  # the model is no worse for it
+            detail = f"{type(error).__name__}: {error}"
+            self._note(InputError("areas-failed", advise("areas-failed", detail)))
+        return {}
 
     def _identify(self) -> None:
         """Add the fingerprint and what follows from it."""

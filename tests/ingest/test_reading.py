@@ -241,3 +241,16 @@ def test_what_was_brought_is_not_hashed_twice(step, tmp_path, monkeypatch):
 def planned(step, origin):
     (item,) = find_inputs([step])
     return replace(item, origin=origin), StageClock(lambda _stage: None)
+
+
+@pytest.mark.parametrize(("error", "kind"), [(ValueError, "areas-failed"), (MemoryError, "memory")])
+def test_areas_that_cannot_be_derived_cost_no_model(step, tmp_path, monkeypatch, error, kind):
+    def fail(_tables):
+        raise error("no area")
+
+    monkeypatch.setattr(worker, "swept_areas", fail)
+    ((failure,), spool) = ingested(step, tmp_path / "spool")
+    assert (failure.stage, failure.kind, failure.fatal) == ("brep", kind, False)
+    row = spool.read_model()
+    assert row["mesh_kind"]
+    assert row["area"] > 0
