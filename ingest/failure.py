@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-__all__ = ["CHANGED", "KILLED", "KINDS", "STAGES", "Failure", "advise"]
+__all__ = ["CHANGED", "KILLED", "KINDS", "STAGES", "Failure", "advise", "detail_of"]
 
 STAGES: Final = ("plan", "fetch", "read", "load", "brep", "import", "mesh", "truth", "write")
 """Stages of a model's way into the lake, in order."""
@@ -20,6 +20,7 @@ KINDS: Final[dict[str, str]] = {
     "too-large": "no CAD file is that large; check what it is",
     "bad-row": "the row of the list cannot be used; correct it",
     "download-failed": "its bytes could not be fetched; try again later with --retry-failures",
+    "search-failed": "what it would have found is missing; run the same command again later",
     "translation-failed": "Onshape could not write the part as STEP; open it there to see why",
     "hash-mismatch": "its bytes are not those that were announced; check the source",
     "read-failed": "Open CASCADE cannot parse the file; check that it is complete",
@@ -90,3 +91,8 @@ class Failure:
 def advise(kind: str, detail: str) -> str:
     """Join what happened and what helps into one message."""
     return f"{detail.rstrip('. ')}: {KINDS[kind]}" if detail else KINDS[kind]
+
+
+def detail_of(kind: str, message: str) -> str:
+    """Return what happened, of a message that `advise` made."""
+    return message.removesuffix(KINDS[kind]).removesuffix(": ")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -10,8 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePath
 from typing import Final
 
-from breplake.errors import UsageError
+from breplake.errors import InputError, UsageError
 from breplake.ingest.failure import Failure, advise
+from breplake.ingest.hashing import Hasher
 from breplake.ingest.printable import printable
 from breplake.ingest.sources.facts import NO_FACTS, Facts
 from breplake.ingest.sources.origin import Origin
@@ -105,7 +105,9 @@ class Input:
         return own | dict(self.beside)
 
 
-def find_inputs(sources: Sequence[Path], collection: str | None = None) -> list[Input]:
+def find_inputs(
+    sources: Sequence[Path], collection: str | None = None, hasher: Hasher | None = None
+) -> list[Input]:
     """List the models of `sources` in order of their names.
 
     A folder is searched with its subfolders, also those behind links, each of them once; every
@@ -123,13 +125,22 @@ def find_inputs(sources: Sequence[Path], collection: str | None = None) -> list[
     collection : str, optional
         Collection of all models; by default each folder's own name, for a file that of the
         folder it is in.
+    hasher : Hasher, optional
+        Reads the files; by default one that remembers nothing.
 
     Raises
     ------
     UsageError
         If a source does not exist, a file is of no known format, or two inputs would get the
         same collection and name.
+    KeyboardInterrupt
+        If the hasher is to stop.
     """
+    hasher = hasher or Hasher()
+
+    def look() -> None:
+        hasher.look(f"{len(models)} models found")
+
     models: dict[tuple[str, str], dict[str, Path]] = {}
     found: list[Input] = []
     for source in sources:
@@ -140,15 +151,15 @@ def find_inputs(sources: Sequence[Path], collection: str | None = None) -> list[
         is_folder = source.is_dir()
         home = source.resolve() if is_folder else source.resolve().parent
         group = printable(collection or home.name or "root")
-        for path in _walk(source, closed.append) if is_folder else [source]:
+        for path in _walk(source, closed.append, look) if is_folder else [source]:
             relative = path.relative_to(source) if is_folder else Path(path.name)
             _sort_in(models, group, path, relative)
         found += [_closed_folder(Path(error.filename), source, group, error) for error in closed]
     unique = {(item.collection, item.name): item for item in found}
-    for (group, name), files in models.items():
-        item = _input(files, group, name)
+    named = list(models.items())
+    for item in hasher.over(named, lambda each: _input(each[1], *each[0], hasher), "reading files"):
         if item is not None:
-            unique[group, name] = item
+            unique[item.collection, item.name] = item
     return sorted(unique.values(), key=lambda item: (item.collection, item.name))
 
 
@@ -185,7 +196,7 @@ def _sort_in(
 
 
 def _same_place(a: Path, b: Path) -> bool:
-    return a.resolve() == b.resolve()
+    return a is b or a.resolve() == b.resolve()
 
 
 def _closed_folder(folder: Path, source: Path, collection: str, error: OSError) -> Input:
@@ -195,10 +206,13 @@ def _closed_folder(folder: Path, source: Path, collection: str, error: OSError) 
     return Input(folder, collection, name, "folder", failure=failure)
 
 
-def _walk(folder: Path, closed: Callable[[OSError], None]) -> Iterator[Path]:
+def _walk(
+    folder: Path, closed: Callable[[OSError], None], look: Callable[[], None]
+) -> Iterator[Path]:
     """Yield the entries below `folder` that are named like files of models, in sorted order."""
     for directory, folders, files in _folders(folder, closed):
         for name in sorted([*files, *folders]):
+            look()
             path = Path(directory) / name
             if cad_format(path.name) is not None or _abc_file(path) is not None:
                 yield path
@@ -257,18 +271,18 @@ def model_name(relative: PurePath) -> str:
     return (relative.parent / os.path.splitext(name)[0]).as_posix()
 
 
-def read_input(path: Path, collection: str, name: str) -> Input:
-    """Return the model of one CAD file, read once for its size and hash."""
-    item = _input({_CAD: path}, collection, name)
+def read_input(path: Path, collection: str, name: str, hasher: Hasher) -> Input:
+    """Return the model of one CAD file, read for its size and hash unless that is remembered."""
+    item = _input({_CAD: path}, collection, name, hasher)
     if item is None:
         raise AssertionError("a CAD file is enough for a model")
     return item
 
 
-def _input(files: Mapping[str, Path], collection: str, name: str) -> Input | None:
+def _input(files: Mapping[str, Path], collection: str, name: str, hasher: Hasher) -> Input | None:
     """Return the input that the files of one model make; None if there is nothing to read.
 
-    They are read once for size and hash, and to notice what cannot be tried.
+    They are looked at for size and hash, and to notice what cannot be tried.
     """
     ordered = {kind: files[kind] for kind in _ORDER if kind in files}
     kind, path = next(iter(ordered.items()))
@@ -276,17 +290,14 @@ def _input(files: Mapping[str, Path], collection: str, name: str) -> Input | Non
         return None
     format = cad_format(path.name) or ABC_FORMAT
     beside = tuple(ordered.items())[1:]
-    failure, size, digest = None, 0, hashlib.sha256()
-    for each in ordered.values():
-        problem = _problem(each) or _add(each, digest)
-        failure = failure or problem
-        size += 0 if problem else each.stat().st_size
-    if failure is not None and failure.kind != "empty-file":
+    try:
+        digest = hasher.digest(list(ordered.values()))
+    except InputError as error:
+        failure = Failure("plan", error.kind, str(error), fatal=True)
         return Input(path, collection, name, format, failure=failure, beside=beside)
-    lacks = _lacks(ordered)
-    if failure is None and lacks is not None:
-        failure = Failure("plan", lacks, advise(lacks, ""), fatal=True)
-    return Input(path, collection, name, format, size, digest.hexdigest(), failure, beside)
+    wrong = "empty-file" if digest.has_empty else _lacks(ordered)
+    problem = None if wrong is None else Failure("plan", wrong, advise(wrong, ""), fatal=True)
+    return Input(path, collection, name, format, digest.bytes, digest.sha256, problem, beside)
 
 
 def _lacks(files: Mapping[str, Path]) -> str | None:
@@ -294,24 +305,3 @@ def _lacks(files: Mapping[str, Path]) -> str | None:
     if _CAD in files or {"features", "trimesh"} <= files.keys():
         return None
     return "no-trimesh" if "features" in files else "no-features"
-
-
-def _problem(path: Path) -> Failure | None:
-    """Return why something cannot be read as a file."""
-    if path.is_file():
-        return None
-    what = "this is a folder" if path.is_dir() else "this is no regular file"
-    return Failure("plan", "not-a-file", advise("not-a-file", what), fatal=True)
-
-
-def _add(path: Path, digest: hashlib._Hash) -> Failure | None:
-    """Add the bytes of a file to a hash; return what is wrong with it."""
-    try:
-        with path.open("rb") as file:
-            while block := file.read(2**20):
-                digest.update(block)
-            size = file.tell()
-    except OSError as error:
-        detail = error.strerror or type(error).__name__
-        return Failure("plan", "unreadable", advise("unreadable", detail), fatal=True)
-    return None if size else Failure("plan", "empty-file", advise("empty-file", ""), fatal=True)

@@ -7,6 +7,7 @@ import os
 import platform
 import re
 import time
+import warnings
 from collections import Counter
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
@@ -29,7 +30,9 @@ from breplake.ingest.shard import SHARD_MODELS, write_shard
 from breplake.ingest.sources.archives import ARCHIVE
 from breplake.ingest.sources.ledger import cache_folder
 from breplake.ingest.sources.limits import Limits
+from breplake.ingest.sources.onshape import SEARCH
 from breplake.ingest.sources.resolve import Sources
+from breplake.ingest.sources.waiting import Tell, silent
 from breplake.ingest.tally import Tally
 from breplake.ingest.versions import versions
 from breplake.ingest.workspace import Workspace, finished_first, work_root
@@ -74,6 +77,11 @@ class Summary(Tally):
             if item.format == ARCHIVE and item.failure and item.failure.kind == "refused"
         ]
 
+    @property
+    def unanswered(self) -> list[Input]:
+        """Searches among the inputs that failed, so that documents may be missing."""
+        return [item for item in self.plan.inputs if item.format == SEARCH and item.failure]
+
 
 def ingest(
     sources: Sequence[str | Path],
@@ -91,7 +99,9 @@ def ingest(
     address: str | None = None,
     work: Path | None = None,
     limits: Limits | None = None,
-    tell: Callable[[str], None] | None = None,
+    tell: Tell = silent,
+    warn: Callable[[str], None] | None = None,
+    rehash: bool = False,
 ) -> Summary:
     """Ingest CAD files into a lake, which is made if it does not exist.
 
@@ -121,9 +131,11 @@ def ingest(
         Called with the plan and the summary so far, at the start and after each input.
     stop : callable, optional
         Asked often; once it returns True the models in work are given up and what is finished
-        is committed.
+        is committed. While sources are looked through there is nothing to commit yet: then the
+        call ends by KeyboardInterrupt.
     log : path, optional
-        File to which a line of JSON is appended for each event.
+        File to which a line of JSON is appended for each event; when it cannot be written any
+        more, the run goes on without it.
     engine : {"local", "ray"}
         Where models are ingested. Both do the same to each model and make the same shards.
     address : str, optional
@@ -133,8 +145,15 @@ def ingest(
         is in a folder of this machine, else in the user's cache.
     limits : Limits, optional
         How far archives are trusted.
-    tell : callable, optional
-        Called with a line of text while sources are looked through, which may take long.
+    tell : Tell, optional
+        Called while sources are looked through, which may take long, with what is being done,
+        how much of it is done, and of how much; None while that is unknown.
+    warn : callable, optional
+        Called with a line of text when something is lost without which the run goes on; by
+        default that is a `RuntimeWarning`.
+    rehash : bool
+        Read every file for its hash, also those that look as they did when they were hashed by
+        an earlier run.
 
     Raises
     ------
@@ -155,12 +174,12 @@ def ingest(
     if address is not None and engine != "ray":
         raise UsageError(f"an address is that of a Ray cluster: give --engine ray, not {engine}")
     text = message or f"ingest {', '.join(str(source) for source in sources)}"
-    stop = stop or (lambda: False)
+    stop, warn = stop or (lambda: False), warn or _warn
     with ExitStack() as stack:
-        opened = stack.enter_context(Sources.open(limits, tell, stop))
+        opened = stack.enter_context(Sources.open(limits, tell, stop, warn, rehash=rehash))
         inputs = opened.find(sources, collection)
         stack.enter_context(_writable(lake, work))
-        journal = stack.enter_context(Journal.open(log))
+        journal = stack.enter_context(Journal.open(log, warn))
         store = LakeStore.open_or_create(lake)
         todo = plan(store, inputs, settings, redo, opened.whole)
         with Workspace.open(
@@ -173,6 +192,10 @@ def ingest(
             if engine == "ray":
                 return run(run.on_cluster(address, jobs, stop, work))
             return run(run.here(jobs, stop))
+
+
+def _warn(text: str) -> None:
+    warnings.warn(text, RuntimeWarning, stacklevel=2)
 
 
 _HELP: Final = {

@@ -14,8 +14,8 @@ TIME_STAMP: Final = "2000-01-01T00:00:00"
 """Time stamp in the header of every file, so that equal models give equal bytes."""
 
 
-_UNNAMED: Final = "Open CASCADE STEP translator"
-"""How the kernel's names of nameless products begin; a count follows."""
+_UNNAMED: Final = "breplake: a product without a name"
+"""Stands in for no name, for which the kernel would write one of its own."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,11 +49,11 @@ def new_document() -> Any:
 
 
 def set_name(label: Any, name: str) -> None:
-    """Name a label of a document."""
+    """Name a label of a document; no name stays none."""
     from OCP.TCollection import TCollection_ExtendedString
     from OCP.TDataStd import TDataStd_Name
 
-    TDataStd_Name.Set_s(label, TCollection_ExtendedString(name))
+    TDataStd_Name.Set_s(label, TCollection_ExtendedString(name or _UNNAMED, True))  # UTF-8
 
 
 def write_document(
@@ -123,14 +123,16 @@ def _paint(writer: Any, paints: Sequence[Paint]) -> None:
 
 
 def _unname(writer: Any) -> None:
-    """Leave products without a name empty: the kernel calls them by its own name and a count."""
+    """Empty the names of products and instances that have none."""
     from OCP.StepBasic import StepBasic_Product
+    from OCP.StepRepr import StepRepr_NextAssemblyUsageOccurrence
     from OCP.TCollection import TCollection_HAsciiString
 
     model = writer.ChangeWriter().Model()
     for i in range(1, model.NbEntities() + 1):
         entity = model.Value(i)
-        if isinstance(entity, StepBasic_Product) and entity.Name().ToCString().startswith(_UNNAMED):
+        named = isinstance(entity, StepBasic_Product | StepRepr_NextAssemblyUsageOccurrence)
+        if named and entity.Name().ToCString() == _UNNAMED:
             entity.SetName(TCollection_HAsciiString(""))
             entity.SetId(TCollection_HAsciiString(""))
 

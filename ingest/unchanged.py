@@ -52,7 +52,10 @@ def unchanged(item: Input, clock: StageClock) -> Iterator[None]:
 
 
 def _mismatch(item: Input) -> InputError:
-    detail = f"{item.shown} changed after it was planned, so run the same command again"
+    detail = (
+        f"{item.shown} changed after it was planned, so run the same command again, with --rehash "
+        "if that says the same"  # times of change that do not show it: the hash is remembered
+    )
     return InputError(CHANGED[1], advise(CHANGED[1], detail))
 
 

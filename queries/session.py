@@ -13,7 +13,7 @@ from breplake.queries.names import did_you_mean
 from breplake.queries.rows import RowReader
 from breplake.schema.array_reader import ArrayShardReader
 from breplake.schema.lake import LakeStore
-from breplake.schema.older import CONTRACT
+from breplake.schema.older import TableFile
 from breplake.schema.snapshot import ARRAYS_TABLE, FileEntry, Snapshot
 from breplake.schema.tables import TABLES
 
@@ -128,13 +128,19 @@ class Lake:
         NameNotFoundError
             If there is no such table.
         """
+        files = self.files(table)
+        copy = self._copy(table)
+        return files if copy is None else [copy]
+
+    def _copy(self, table: str) -> str | None:
+        """Return the consolidated copy of a table, if there is one."""
         from breplake.queries.consolidated import consolidated_path
 
-        files = self.files(table)
-        if not self.store.storage.is_local:
-            return files
-        copy = consolidated_path(self.root, table, self.snapshot.table_files(table))
-        return [str(copy)] if files and copy.exists() else files
+        entries = self.snapshot.table_files(table)
+        if not entries or not self.store.storage.is_local:
+            return None
+        path = consolidated_path(self.root, table, entries)
+        return str(path) if path.exists() else None
 
     @property
     def connection(self) -> duckdb.DuckDBPyConnection:
@@ -168,24 +174,27 @@ class Lake:
             },
         )
         try:
-            uniform = self.snapshot.contract == CONTRACT
-            create_views(connection, self._views(connection), uniform, self._opened)
+            create_views(connection, self._views(connection), self._opened)
         except (duckdb.Error, OSError, pa.ArrowException) as error:
             raise LakeFormatError(f"the lake is damaged ({error}): run breplake check") from error
         return connection
 
-    def _views(self, connection: duckdb.DuckDBPyConnection) -> dict[str, Sequence[str]]:
+    def _views(self, connection: duckdb.DuckDBPyConnection) -> dict[str, list[TableFile]]:
         """Return what DuckDB reads each table from; let it read over the network if need be."""
-        storage = self.store.storage
-        if storage.is_local:
-            return {table: self.sources(table) for table in TABLES}
-        from breplake.queries.remote import LakeFiles
+        if not self.store.storage.is_local:
+            from breplake.queries.remote import LakeFiles
 
-        connection.register_filesystem(LakeFiles(storage))
-        return {
-            table: [self.sql_path(entry) for entry in self.snapshot.table_files(table)]
-            for table in TABLES
-        }
+            connection.register_filesystem(LakeFiles(self.store.storage))
+        return {table: self._table_files(table) for table in TABLES}
+
+    def _table_files(self, table: str) -> list[TableFile]:
+        """Return what DuckDB calls the files of a table, and by which contract each is."""
+        entries = self.snapshot.table_files(table)
+        copy = self._copy(table)
+        if copy is not None:
+            return [TableFile(copy, self.snapshot.contract)]
+        contract = self.snapshot.contract_of
+        return [TableFile(self.sql_path(entry), contract(entry.shard)) for entry in entries]
 
     def _opened(self, path: str) -> Any:
         """Return what pyarrow reads a file from that `_views` named."""

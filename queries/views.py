@@ -10,7 +10,7 @@ import duckdb
 import pyarrow as pa
 
 from breplake.schema.contract import Table
-from breplake.schema.older import by_schema
+from breplake.schema.older import CONTRACT, TableFile, by_schema
 from breplake.schema.tables import TABLES
 
 __all__ = ["DERIVED", "create_views", "derived_sql"]
@@ -27,8 +27,7 @@ def derived_sql(name: str) -> str:
 
 def create_views(
     connection: duckdb.DuckDBPyConnection,
-    files: Mapping[str, Sequence[str]],
-    uniform: bool,
+    files: Mapping[str, Sequence[TableFile]],
     opened: Callable[[str], Any] = str,
 ) -> None:
     """Create a view for each table over exactly the given files, then the derived ones.
@@ -37,12 +36,10 @@ def create_views(
     ----------
     connection : duckdb.DuckDBPyConnection
         An empty session.
-    files : dict of str to sequence of str
+    files : dict of str to sequence of TableFile
         What `connection` reads, by table: absolute paths, or URLs of a file system that is
-        registered with it. A table without files becomes an empty view.
-    uniform : bool
-        Whether every file has all columns. If not, the files' footers are read, and a column that
-        a file lacks is null.
+        registered with it. A table without files becomes an empty view; a column that a file of
+        an older contract lacks is null.
     opened : callable, optional
         Returns what pyarrow reads one of `files` from.
 
@@ -52,13 +49,13 @@ def create_views(
         If a file cannot be read.
     """
     for name, table in TABLES.items():
-        paths = files.get(name, ())
-        if not paths:
+        found = files.get(name, ())
+        if not found:
             body = _empty(connection, table)
-        elif uniform:
-            body = _over_files(table, paths)
+        elif all(file.contract == CONTRACT for file in found):
+            body = _over_files(table, [file.path for file in found])
         else:
-            body = _over_older(connection, table, paths, opened)
+            body = _over_older(connection, table, found, opened)
         connection.execute(f"CREATE VIEW {name} AS {body}")
     for name in DERIVED:
         connection.execute(f"CREATE VIEW {name} AS {derived_sql(name)}")
@@ -71,14 +68,14 @@ def _over_files(table: Table, paths: Sequence[str]) -> str:
 def _over_older(
     connection: duckdb.DuckDBPyConnection,
     table: Table,
-    paths: Sequence[str],
+    files: Sequence[TableFile],
     opened: Callable[[str], Any],
 ) -> str:
     """Return SQL over files of which some may lack columns, or members of structures."""
     kinds = _kinds(connection, table)
     return " UNION ALL ".join(
         _select((_column(field, schema, kinds[field.name]) for field in table.schema), group)
-        for schema, group in by_schema(paths, opened)
+        for schema, group in by_schema(table, files, opened)
     )
 
 

@@ -21,6 +21,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TypedDict
 
 from breplake.errors import (
     CommitConflictError,
@@ -353,7 +354,7 @@ class LakeStore:
                 tools=dict(sorted(tools.items())),
                 config_hash=config_hash,
                 files=tuple(sorted([*kept, *files])),
-                contract=CONTRACT if _conforms(head, kept) else "",
+                **_contracts(head, kept, files),
             )
             if self.log.create(snapshot):
                 return snapshot
@@ -418,9 +419,28 @@ def _check_replaced(replaced: set[str], old: Sequence[FileEntry]) -> None:
         )
 
 
-def _conforms(head: Snapshot | None, kept: Sequence[FileEntry]) -> bool:
-    """Return whether the files that a commit keeps have all columns that new ones have."""
-    return head is None or not kept or head.contract == CONTRACT
+class _Contracts(TypedDict):
+    """What a `Snapshot` says of contracts."""
+
+    contract: str
+    contracts: dict[str, str]
+
+
+def _contracts(
+    head: Snapshot | None, kept: Sequence[FileEntry], new: Sequence[FileEntry]
+) -> _Contracts:
+    """Return the contract of all files of a commit, else that of each shard where it is known."""
+    by_shard: dict[str, set[str]] = {}
+    for entry in kept:
+        contract = head.contract_of(entry.shard) if head else ""
+        by_shard.setdefault(entry.shard, set()).add(contract)
+    for entry in new:  # which `register` held against today's contract
+        by_shard.setdefault(entry.shard, set()).add(CONTRACT)
+    found = set().union(*by_shard.values())
+    if len(found) <= 1:
+        return _Contracts(contract=next(iter(found), CONTRACT), contracts={})
+    known = {shard: min(names) for shard, names in by_shard.items() if len(names) == 1}
+    return _Contracts(contract="", contracts={s: name for s, name in known.items() if name})
 
 
 def _check_new(files: Sequence[FileEntry], kept: Sequence[FileEntry]) -> None:

@@ -1,16 +1,17 @@
 """Files that an older breplake wrote: a column that they lack is null.
 
 Columns and tables are added without a new version of the schema, since older readers do not miss
-them. A snapshot says by `contract_hash` whether every file of it has all columns of today; only
-where it does not say so, readers look into the files.
+them. A snapshot says of every shard by which contract it was written, a `contract_hash`: files of
+one table and one contract have the same columns, so readers look into one of them, and into none
+of today's contract. Only the first snapshots did not say it; their files are all looked into.
 """
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from pathlib import Path
-from typing import Any, Final
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Final, NamedTuple
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -18,7 +19,10 @@ import pyarrow.parquet as pq
 from breplake.schema.contract import Table
 from breplake.schema.tables import TABLES
 
-__all__ = ["CONTRACT", "by_schema", "conform", "contract_hash", "is_older"]
+__all__ = ["CONTRACT", "TableFile", "by_schema", "conform", "contract_hash", "is_older"]
+
+_THREADS: Final = 16
+"""Footers that are read at the same time: over a network each one is a wait."""
 
 
 def contract_hash(tables: Mapping[str, Table]) -> str:
@@ -69,14 +73,31 @@ def is_older(have: pa.Field, want: pa.Field) -> bool:
     return bool(have.type.equals(want.type))
 
 
-def by_schema(
-    paths: Iterable[str | Path], opened: Callable[[str], Any] = str
-) -> list[tuple[pa.Schema, list[str]]]:
-    """Group Parquet files by their columns, read from their footers.
+class TableFile(NamedTuple):
+    """A Parquet file of a table.
 
     Parameters
     ----------
-    paths : iterable of str or Path
+    path : str
+        Where it is.
+    contract : str
+        By which contract it was written; empty where that is not known.
+    """
+
+    path: str
+    contract: str
+
+
+def by_schema(
+    table: Table, files: Iterable[TableFile], opened: Callable[[str], Any] = str
+) -> list[tuple[pa.Schema, list[str]]]:
+    """Group files of a table by their columns, from as few footers as possible.
+
+    Parameters
+    ----------
+    table : Table
+        Of today's contract.
+    files : iterable of TableFile
         The files.
     opened : callable, optional
         Returns what pyarrow reads a file from, given its path.
@@ -84,16 +105,25 @@ def by_schema(
     Returns
     -------
     list of tuple
-        Schema, and the files that have it, in their order.
+        Schema, and the paths of the files that have it, in their order.
 
     Raises
     ------
     OSError, pyarrow.ArrowInvalid
         If a file cannot be read.
     """
+    alike: dict[str, list[str]] = {}
+    for path, contract in files:
+        alike.setdefault(contract or f"of {path} alone", []).append(path)
+
+    def schema(contract: str) -> pa.Schema:
+        if contract == CONTRACT:
+            return table.schema.remove_metadata()
+        return pq.read_schema(opened(alike[contract][0])).remove_metadata()
+
     groups: dict[Sequence[tuple[str, str]], tuple[pa.Schema, list[str]]] = {}
-    for path in paths:
-        schema = pq.read_schema(opened(str(path))).remove_metadata()
-        key = tuple((field.name, str(field.type)) for field in schema)
-        groups.setdefault(key, (schema, []))[1].append(str(path))
+    with ThreadPoolExecutor(_THREADS) as pool:
+        for found, paths in zip(pool.map(schema, alike), alike.values(), strict=True):
+            key = tuple((field.name, str(field.type)) for field in found)
+            groups.setdefault(key, (found, []))[1].extend(paths)
     return list(groups.values())

@@ -11,7 +11,7 @@ from breplake.schema.namespace import Floats, Ints
 from breplake.schema.surfaces import SurfaceSet
 from breplake.schema.types import SURFACE_TYPES
 
-__all__ = ["surface_kinds", "surface_periods"]
+__all__ = ["curve_periods", "surface_kinds", "surface_periods"]
 
 _TURN = 2 * np.pi
 
@@ -39,7 +39,7 @@ def surface_periods(patches: pa.Table, surfaces: SurfaceSet) -> Floats:
         The same rows.
     """
     kind = surface_kinds(patches)
-    swept = _curve_period(surfaces.curves)
+    swept = curve_periods(surfaces.curves)
     own = surfaces.splines
     period = np.full((2, len(kind)), np.inf)
     for axis, (side, knots, name) in enumerate(
@@ -52,7 +52,7 @@ def surface_periods(patches: pa.Table, surfaces: SurfaceSet) -> Floats:
     return period
 
 
-def _curve_period(curves: CurveSet) -> Floats:
+def curve_periods(curves: CurveSet) -> Floats:
     """Return the period that each curve has if it is periodic."""
     spline = np.array([kind.name == "BSpline" for kind in curves.kinds] + [False])[curves.group]
     knots = curves.splines.knots

@@ -8,7 +8,13 @@ in lines: first what the commit says of itself, then one line for each shard, so
     "columns":["rows","bytes","sha256","min_model_id","max_model_id"],
     "shards":{
     "4a5b":{"arrays":[16,9120,"0f3c...",17,29],"models":[2,5120,"77ab...",17,29],...}
+    },
+    "contracts":{
+    "dab8298fa09be326":["4a5b",...]
     }}
+
+The last part is there where shards differ in the contract of their tables. Readers that know
+nothing of it ignore it, as everything at this level but what they look for.
 """
 
 from __future__ import annotations
@@ -117,6 +123,8 @@ class Snapshot:
     contract : str
         Hash of the tables' columns (`breplake.schema.older`) that every file has; empty if files
         differ, as those do that were written before a column was added.
+    contracts : mapping
+        Where files differ: the contract of each shard by its name, as far as it is known.
     """
 
     number: int
@@ -128,6 +136,7 @@ class Snapshot:
     config_hash: str
     files: tuple[FileEntry, ...] = field(repr=False)
     contract: str = ""
+    contracts: Mapping[str, str] = field(default_factory=dict, repr=False)
 
     @cached_property
     def _by_table(self) -> dict[str, dict[str, FileEntry]]:
@@ -145,11 +154,15 @@ class Snapshot:
         """Return the file of `table` in `shard`, if there is one."""
         return self._by_table.get(table, {}).get(shard)
 
+    def contract_of(self, shard: str) -> str:
+        """Return by which contract the files of a shard were written; empty if not known."""
+        return self.contract or self.contracts.get(shard, "")
+
     @property
     def header(self) -> Header:
         """What the snapshot says of itself, with totals."""
         values = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        del values["files"]
+        del values["files"], values["contracts"]
         return Header(
             **values,
             models=sum(entry.rows for entry in self.table_files("models")),
@@ -165,7 +178,17 @@ class Snapshot:
         header = asdict(self.header) | {"tools": dict(sorted(self.tools.items()))}
         lines = ",\n".join(f"{_compact(name)}:{_compact(shards[name])}" for name in sorted(shards))
         head = f'{{"snapshot":{_compact(header)},\n"columns":{_compact(_COLUMNS)},\n"shards":{{'
-        return f"{head}\n{lines}\n}}}}\n".encode()
+        return f"{head}\n{lines}\n}}{self._contract_lines()}}}\n".encode()
+
+    def _contract_lines(self) -> str:
+        """Return what the document says of contracts; nothing where all shards are of one."""
+        shards: dict[str, list[str]] = {}
+        for shard, contract in sorted(self.contracts.items()):
+            shards.setdefault(contract, []).append(shard)
+        if not shards:
+            return ""
+        lines = ",\n".join(f"{_compact(name)}:{_compact(shards[name])}" for name in sorted(shards))
+        return f',\n"contracts":{{\n{lines}\n}}'
 
     @classmethod
     def from_json(cls, data: bytes, source: str) -> Snapshot:
@@ -199,9 +222,14 @@ class Snapshot:
                 for shard, tables in document["shards"].items()
                 for table, values in tables.items()
             ]
+            contracts = {
+                shard: contract
+                for contract, shards in document.get("contracts", {}).items()
+                for shard in shards
+            }
             totals = {name: header.pop(name) for name in ("models", "files", "bytes")}
-            snapshot = cls(**header, files=tuple(sorted(files)))
-        except (KeyError, TypeError, ValueError) as error:
+            snapshot = cls(**header, files=tuple(sorted(files)), contracts=contracts)
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
             if isinstance(error, LakeFormatError):
                 raise
             raise LakeFormatError(f"{source} is not a snapshot: {error!r}") from error

@@ -31,6 +31,16 @@ from .rows import complete, vec
 settings.register_profile("breplake", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("breplake")
 
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory):
+    """What ingest remembers of the files of tests stays out of the user's cache."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("BREPLAKE_CACHE", raising=False)
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield
+
+
 COLLECTION = "boxes"
 TINY = {
     "s0": {"small": (1, 1, 1), "long/flat": (9, 2, 1)},

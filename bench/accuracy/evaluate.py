@@ -33,11 +33,15 @@ _ROUNDING: Final = {"position": 1e-12, "normal": 1e-6, "curvature": 1e-3}
 """Differences up to which rounding may be to blame, so that extended precision decides. It has
 our formulas and parameters: of position, and of more than this, Open CASCADE is the judge."""
 
-_SELDOM: Final = 1e-3
+_SELDOM: Final = 1e-2
 """Share of points that may be disputed: a wrong formula would be wrong at most of them."""
 
-_FLAT: Final = 1e-9
-"""Curvatures below this over the model's size are compared with it: a flat patch has none."""
+_SINGULAR: Final = 1e-3
+"""Share of points that may be flagged: patches are singular at single points."""
+
+_FLAT: Final = 1e-6
+"""Curvatures below this over the model's size are compared with it: such a patch departs from a
+plane by about 1e-7 of the model, and what is left of its curvature are rounding errors."""
 
 
 @dataclass(slots=True)
@@ -78,8 +82,10 @@ class Errors:
 
     @property
     def failed(self) -> list[str]:
-        """Names of the tolerances that we exceed."""
-        return [name for name, limit in TOLERANCES.items() if not self._within(name, limit)]
+        """Names of the tolerances that we exceed, and of what is not evaluated too often."""
+        found = [name for name, limit in TOLERANCES.items() if not self._within(name, limit)]
+        found += ["unknown"] if self.unknown else []
+        return found + (["flagged"] if self.flagged > max(_SINGULAR * self.points, 1) else [])
 
     def _within(self, name: str, limit: float) -> bool:
         if self.worst[name] <= limit:
@@ -179,8 +185,9 @@ def _differences(one: SurfacePoints, two: SurfacePoints, size: float) -> dict[st
     """Return the differences ``(n,)`` by name of the tolerance; NaN where flagged."""
     bend = np.maximum(np.maximum(np.abs(two.k_min), np.abs(two.k_max)), _FLAT / size)
     gap = np.maximum(np.abs(one.k_min - two.k_min), np.abs(one.k_max - two.k_max))
+    position = np.linalg.norm(one.point - two.point, axis=1) / size
     return {
-        "position": np.linalg.norm(one.point - two.point, axis=1) / size,
+        "position": np.where(np.isnan(position), np.inf, position),  # it is defined everywhere
         "normal": np.linalg.norm(one.normal - two.normal, axis=1),
         "curvature": gap / bend,
     }

@@ -28,7 +28,7 @@ from breplake.schema.namespace import Floats, Ints
 from breplake.schema.trimming.patches import TrimmedPatches
 from breplake.schema.trimming.sampling import UniformSampler
 
-__all__ = ["Found", "judge", "main", "report"]
+__all__ = ["Found", "holds", "judge", "main", "report"]
 
 SAME: Final = 1e-6
 """Relative difference of areas that counts as none."""
@@ -38,6 +38,9 @@ _EXPECTED: Final = 20.0  # points in a cell of a test, fewer go to the rest
 _CELLS: Final = 4  # by which u and v are divided
 _FINE: Final = 50  # places in a cell, each way, by which its area is summed
 _UNUSUAL: Final = 1e-3  # chance below which a test counts as unusual
+_IMPOSSIBLE: Final = 1e-9  # and below which the sampler is wrong
+_STRAYS: Final = 1e-5  # share of points that may be outside
+_BROKEN: Final = 0.1  # share of models whose loops may be too faulty for an exact area
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,6 +151,19 @@ def report(found: list[Found]) -> list[str]:
     return [*lines, *(f"    left out {one.name}: {one.excuse}" for one in found if one.excuse)]
 
 
+def holds(found: list[Found]) -> bool:
+    """Return whether samples are on their patches and uniform, and areas right as a rule."""
+    judged = [one for one in found if not one.excuse]
+    points = sum(one.points for one in judged)
+    off = sum(not one.off <= SAME for one in judged)
+    return (
+        points > 0
+        and sum(one.outside for one in judged) <= _STRAYS * points
+        and min(chance for one in judged for chance in one.chances) >= _IMPOSSIBLE
+        and off <= _BROKEN * len(judged)
+    )
+
+
 def _all(lake: breplake.Lake, models: int, points: int, jobs: int) -> Iterator[Found]:
     from breplake.ingest.processes import Processes
 
@@ -172,6 +188,7 @@ def main(
     """Prove areas and samples of trimmed patches."""
     found = list(_all(breplake.open(lake), models, points, jobs))
     typer.echo("\n".join(report(sorted(found, key=lambda one: one.name))))
+    raise typer.Exit(code=not holds(found))
 
 
 if __name__ == "__main__":

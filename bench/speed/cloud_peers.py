@@ -6,7 +6,7 @@ torch tensors. Libraries are imported inside, since any of them may be missing.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["PEERS", "Clouds", "Peer"]
+__all__ = ["PEERS", "Clouds", "Peer", "for_ever"]
 
 _CHUNK_BYTES: Final = 64 << 20
 """About the size of a chunk or shard, as the guides of these libraries advise."""
@@ -56,7 +56,8 @@ class Peer:
     write : callable
         Writes clouds into a folder.
     batches : callable
-        Yields ``(points, labels)`` batches of one epoch: ``batches(folder, batch_size, workers)``.
+        Yields ``(points, labels)`` batches, epoch after epoch without end, from a loader that is
+        made once: ``batches(folder, batch_size, workers)``.
     workers : tuple of int
         Numbers of worker processes to try; the best one counts.
     note : str
@@ -75,6 +76,12 @@ class Peer:
         return find_spec(self.module) is not None
 
 
+def for_ever(loader: Iterable[Any]) -> Iterator[Any]:
+    """Yield the batches of a loader, epoch after epoch."""
+    while True:
+        yield from loader
+
+
 def _write_memmap(clouds: Clouds, folder: Path) -> None:
     np.save(folder / "points.npy", clouds.points)
     np.save(folder / "labels.npy", clouds.labels)
@@ -85,10 +92,11 @@ def _memmap(folder: Path, batch_size: int, workers: int) -> Iterator[tuple[Any, 
 
     points = np.load(folder / "points.npy", mmap_mode="r")
     labels = np.load(folder / "labels.npy", mmap_mode="r")
-    order = np.random.default_rng().permutation(len(points))
-    for start in range(0, len(order), batch_size):
-        rows = order[start : start + batch_size]
-        yield torch.from_numpy(points[rows]), torch.from_numpy(labels[rows])
+    while True:
+        order = np.random.default_rng().permutation(len(points))
+        for start in range(0, len(order), batch_size):
+            rows = order[start : start + batch_size]
+            yield torch.from_numpy(points[rows]), torch.from_numpy(labels[rows])
 
 
 def _write_litdata(clouds: Clouds, folder: Path) -> None:
@@ -104,8 +112,10 @@ def _write_litdata(clouds: Clouds, folder: Path) -> None:
 def _litdata(folder: Path, batch_size: int, workers: int) -> Iterator[tuple[Any, Any]]:
     module = import_module("litdata")
     dataset = module.StreamingDataset(str(folder), shuffle=True)
-    loader = module.StreamingDataLoader(dataset, batch_size=batch_size, num_workers=workers)
-    for batch in loader:
+    loader = module.StreamingDataLoader(
+        dataset, batch_size=batch_size, num_workers=workers, persistent_workers=workers > 0
+    )
+    for batch in for_ever(loader):
         yield batch["points"], batch["label"]
 
 
@@ -124,7 +134,10 @@ def _mosaic(folder: Path, batch_size: int, workers: int) -> Iterator[tuple[Any, 
     streaming = import_module("streaming")
     streaming.base.util.clean_stale_shared_memory()  # of a process that was killed
     dataset = streaming.StreamingDataset(local=str(folder), shuffle=True, batch_size=batch_size)
-    for batch in DataLoader(dataset, batch_size=batch_size, num_workers=workers):
+    loader = DataLoader(
+        dataset, batch_size=batch_size, num_workers=workers, persistent_workers=workers > 0
+    )
+    for batch in for_ever(loader):
         yield batch["points"], batch["label"]
 
 
@@ -149,8 +162,14 @@ def _datasets(folder: Path, batch_size: int, workers: int) -> Iterator[tuple[Any
     from torch.utils.data import DataLoader
 
     dataset = import_module("datasets").load_from_disk(str(folder / "data")).with_format("torch")
-    loader = DataLoader(dataset, batch_size=batch_size, shuffle=True, num_workers=workers)
-    for batch in loader:
+    loader = DataLoader(
+        dataset,
+        batch_size=batch_size,
+        shuffle=True,
+        num_workers=workers,
+        persistent_workers=workers > 0,
+    )
+    for batch in for_ever(loader):
         yield batch["points"], batch["label"]
 
 
@@ -170,7 +189,10 @@ def _webdataset(folder: Path, batch_size: int, workers: int) -> Iterator[tuple[A
     urls = sorted(map(str, folder.glob("*.tar")))
     dataset = wds.WebDataset(urls, shardshuffle=len(urls)).shuffle(1000).decode()
     dataset = dataset.to_tuple("points.npy", "label.npy").batched(batch_size)
-    for points, label in wds.WebLoader(dataset, batch_size=None, num_workers=workers):
+    loader = wds.WebLoader(
+        dataset, batch_size=None, num_workers=workers, persistent_workers=workers > 0
+    )
+    for points, label in for_ever(loader):
         yield torch.as_tensor(points), torch.as_tensor(label)
 
 
@@ -218,14 +240,16 @@ def _as_is(batch: Any) -> Any:
 def _lance(folder: Path, batch_size: int, workers: int) -> Iterator[tuple[Any, Any]]:
     from torch.utils.data import DataLoader
 
-    yield from DataLoader(
+    loader: Iterable[Any] = DataLoader(
         _LanceRows(folder / "clouds.lance"),  # type: ignore[arg-type]  # duck-typed Dataset
         batch_size=batch_size,
         shuffle=True,
         num_workers=workers,
         collate_fn=_as_is,
         multiprocessing_context="spawn" if workers else None,  # Lance does not survive a fork
+        persistent_workers=workers > 0,
     )
+    yield from for_ever(loader)
 
 
 PEERS: Final[dict[str, Peer]] = {

@@ -22,7 +22,7 @@ from typing import Annotated, Any, Final
 import numpy as np
 import typer
 
-from breplake.bench.speed.cloud_peers import PEERS, Clouds, Peer
+from breplake.bench.speed.cloud_peers import PEERS, Clouds, Peer, for_ever
 from breplake.bench.speed.machine import machine
 from breplake.errors import UsageError
 
@@ -62,7 +62,7 @@ def _ours() -> dict[str, Peer]:
     def pack(folder: Path, batch_size: int, workers: int) -> Iterator[tuple[Any, Any]]:
         from breplake.loaders import Loader, PackedClouds
 
-        for batch in Loader(PackedClouds(folder), batch_size, threads=workers):
+        for batch in for_ever(Loader(PackedClouds(folder), batch_size, threads=workers)):
             yield batch.positions, batch.types
 
     def drawn(folder: Path, batch_size: int, workers: int) -> Iterator[tuple[Any, Any]]:
@@ -70,14 +70,14 @@ def _ours() -> dict[str, Peer]:
 
         n = PackedClouds(folder).n
         lake = (folder.parent / "lake.txt").read_text()
-        for batch in Loader(MeshDataset(lake).points(n), batch_size, workers=workers):
+        for batch in for_ever(Loader(MeshDataset(lake).points(n), batch_size, workers=workers)):
             yield batch.positions, batch.types
 
     def written(clouds: Clouds, folder: Path) -> None:
         """Nothing: the pack is what the clouds were read from."""
 
     return {
-        OURS: Peer("breplake", written, pack, workers=(0, 1, 2)),
+        OURS: Peer("breplake", written, pack, note="full shuffle, threads for workers"),
         _DRAWN: Peer("breplake", written, drawn, note="full shuffle, new points in each epoch"),
     }
 
@@ -93,13 +93,10 @@ def measure(
     next(running)
     start = time.time()
     count = 0
-    while time.time() - start < seconds:
-        for points, _ in running:
-            count += len(points)
-            if time.time() - start >= seconds:
-                break
-        else:
-            running = batches()
+    for points, _ in running:
+        count += len(points)
+        if time.time() - start >= seconds:
+            break
     return start - begin, count / (time.time() - start)
 
 

@@ -40,8 +40,8 @@ def write_step(
     """Write a model as STEP (AP214).
 
     A part that is placed several times becomes one product with several instances, unless its
-    instances differ in names or colours. In an assembly, readers call a part without a name by
-    the number of its instance.
+    instances differ in names or colours. Several parts without names are bodies of one product: in
+    an assembly, readers call a part without a name by the number of its instance.
 
     Parameters
     ----------
@@ -102,11 +102,15 @@ class _Document:
         if len(parts) == 1 and not loose and self._items[0].Location().IsIdentity():
             self._product(self._items[0], parts[0], patches)
             return
+        once = len({part["shape"] for part in parts}) == len(parts)
+        if once and all(part["name"] is None and self._is_rigid(i) for i, part in enumerate(parts)):
+            self._one_product(parts, patches)
+            return
         root = self._tool.NewShape()
         set_name(root, self._name)
-        for item, part in zip(self._items, parts, strict=False):
+        for i, (item, part) in enumerate(zip(self._items, parts, strict=False)):
             # STEP places by rigid motions alone: others become part of the geometry.
-            rigid = item.Location().Transformation().ScaleFactor() == 1
+            rigid = self._is_rigid(i)
             product = self._product(item, part, patches, bake=not rigid)
             location = item.Location() if rigid else TopLoc_Location()
             set_name(self._tool.AddComponent(root, product, location), part["name"] or "")
@@ -116,18 +120,42 @@ class _Document:
             set_name(self._tool.AddComponent(root, product, TopLoc_Location()), "")
         self._tool.UpdateAssemblies()
 
+    def _is_rigid(self, i: int) -> bool:
+        return bool(self._items[i].Location().Transformation().ScaleFactor() == 1)
+
+    def _one_product(self, parts: Sequence[_Row], patches: Sequence[_Row]) -> None:
+        """Add everything as one product without a name.
+
+        In an assembly, readers would call the parts by the numbers of their instances.
+        """
+        from OCP.ShapeCustom import ShapeCustom
+        from OCP.TopoDS import TopoDS_Iterator
+
+        whole = ShapeCustom.DirectFaces_s(_compound(self._items))
+        set_name(self._tool.AddShape(whole, False), "")
+        iterator = TopoDS_Iterator(whole)
+        for item, part in zip(self._items, parts, strict=False):
+            looks = self._looks(item, patches)
+            self._paint(iterator.Value(), part["colour"], looks, whole)
+            iterator.Next()
+
+    def _looks(self, item: Any, patches: Sequence[_Row]) -> tuple[tuple[Any, Any], ...]:
+        """Return name and colour of each face of a part."""
+        from OCP.TopAbs import TopAbs_ShapeEnum
+
+        found = [self._faces.FindIndex(f) for f in explore(item, TopAbs_ShapeEnum.TopAbs_FACE)]
+        rows = [patches[i - 1] if i else {} for i in found]
+        return tuple((row.get("name"), row.get("colour")) for row in rows)
+
     def _product(
         self, item: Any, part: _Row, patches: Sequence[_Row], *, bake: bool = False
     ) -> Any:
         """Return the label of a part's shape, painted and named like this instance of it."""
         from OCP.BRepBuilderAPI import BRepBuilderAPI_Copy, BRepBuilderAPI_Transform
         from OCP.ShapeCustom import ShapeCustom
-        from OCP.TopAbs import TopAbs_ShapeEnum
         from OCP.TopLoc import TopLoc_Location
 
-        found = [self._faces.FindIndex(f) for f in explore(item, TopAbs_ShapeEnum.TopAbs_FACE)]
-        rows = [patches[i - 1] if i else {} for i in found]
-        looks = tuple((row.get("name"), row.get("colour")) for row in rows)
+        looks = self._looks(item, patches)
         key = (part["shape"], str(item.Orientation()), part["name"], part["colour"], looks)
         if not bake and key in self._products:
             return self._products[key]
@@ -145,20 +173,22 @@ class _Document:
             self._used.add(part["shape"])
             self._products[key] = label
         set_name(label, part["name"] or "")
-        self._paint(shape, part["colour"], looks)
+        self._paint(shape, part["colour"], looks, shape)
         return label
 
-    def _paint(self, shape: Any, colour: str | None, looks: Sequence[tuple[Any, Any]]) -> None:
+    def _paint(
+        self, shape: Any, colour: str | None, looks: Sequence[tuple[Any, Any]], product: Any
+    ) -> None:
         from OCP.TopAbs import TopAbs_ShapeEnum
 
         if colour is not None:
-            self.paints.append(Paint(shape, "", _colour(colour), shape))
+            self.paints.append(Paint(shape, "", _colour(colour), product))
         faces = explore(shape, TopAbs_ShapeEnum.TopAbs_FACE)
         for face, (name, own) in zip(faces, looks, strict=True):
             # A patch without a colour of its own has that of its part.
             own = None if own is None or own == colour else _colour(own)
             if name or own is not None:
-                self.paints.append(Paint(face, name or "", own, shape))
+                self.paints.append(Paint(face, name or "", own, product))
 
 
 def _compound(shapes: Sequence[Any]) -> Any:

@@ -1,8 +1,9 @@
 """What was found out about sources, kept between runs so that it is not found out again.
 
-Every entry is a fact that cannot change: the hashes of the members of an archive of given bytes,
-the hash of what an address gave under a given entity tag, the translation of a part of a given
-version. Losing the ledger costs time and calls, never correctness. Downloaded files lie beside it.
+Every entry is a fact that cannot change: the hash of a file of given size, inode and times, the
+hashes of the members of an archive of given bytes, the hash of what an address gave under a given
+entity tag, the translation of a part of a given version. Losing the ledger costs time and calls,
+never correctness. Downloaded files lie beside it.
 """
 
 from __future__ import annotations

@@ -7,7 +7,6 @@ import hashlib
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
@@ -19,6 +18,7 @@ import pyarrow.parquet as pq
 
 from breplake.errors import InputError, UsageError
 from breplake.ingest.failure import Failure, advise
+from breplake.ingest.hashing import Hasher
 from breplake.ingest.inputs import FORMATS, Input, cad_format, model_name, read_input
 from breplake.ingest.printable import printable
 from breplake.ingest.sources.downloads import SCHEMES, Downloads
@@ -172,6 +172,7 @@ def list_inputs(
     downloads: Callable[[], Downloads],
     whole: set[int],
     taken: Taken,
+    hasher: Hasher,
 ) -> list[Input]:
     """Return the CAD files of a list as inputs, in the order of its rows.
 
@@ -192,10 +193,15 @@ def list_inputs(
         Takes the ids that rows have as inputs where they cannot be used, of those that can.
     taken : Taken
         Of the lists before this one; those of this one are added.
+    hasher : Hasher
+        Reads the files that are here.
     """
     names = _Names(path, printable(collection or path.stem or "list"), whole, taken)
-    with ThreadPoolExecutor(_AT_ONCE) as pool:
-        return list(pool.map(lambda row: _input(path, row, names, downloads), names.given(rows)))
+
+    def look_up(row: Row) -> Input:
+        return _input(path, row, names, downloads, hasher)
+
+    return hasher.over(list(names.given(rows)), look_up, f"reading {path}", _AT_ONCE)
 
 
 class _Names:
@@ -281,7 +287,9 @@ def _format(row: Row) -> str | None:
     return cad_format(parts.path if parts.scheme in (*SCHEMES, "file") else row.address)
 
 
-def _input(path: Path, row: Row, names: _Names, downloads: Callable[[], Downloads]) -> Input:
+def _input(
+    path: Path, row: Row, names: _Names, downloads: Callable[[], Downloads], hasher: Hasher
+) -> Input:
     group, name = names.of[row.number]
     if row.problem is not None:
         message = advise("bad-row", f"{path}, row {row.number}: {row.problem}")
@@ -291,7 +299,7 @@ def _input(path: Path, row: Row, names: _Names, downloads: Callable[[], Download
     kind = _format(row) or "step"
     if _is_remote(row.address):
         return _remote(path, row, shown, names, downloads())
-    return _local(path, row, group, name, kind)
+    return _local(path, row, group, name, kind, hasher)
 
 
 def _shown(address: str) -> str:
@@ -312,14 +320,8 @@ def _local_path(path: Path, address: str) -> Path:
     return path.parent / (url2pathname(urlsplit(address).path) if is_address else address)
 
 
-def _local(path: Path, row: Row, group: str, name: str, kind: str) -> Input:
-    place = _local_path(path, row.address)
-    try:
-        item = read_input(place, group, name)
-    except OSError as error:  # of looking what it is: a name that is too long, a closed folder
-        message = advise("unreadable", error.strerror or str(error))
-        failure = Failure("plan", "unreadable", message, fatal=True)
-        return Input(place, group, name, kind, failure=failure, facts=row.facts)
+def _local(path: Path, row: Row, group: str, name: str, kind: str, hasher: Hasher) -> Input:
+    item = read_input(_local_path(path, row.address), group, name, hasher)
     item = replace(item, format=kind, facts=row.facts)
     wanted = row.values.get("sha256", "").lower()
     if wanted and item.sha256 is not None and item.sha256 != wanted:

@@ -9,23 +9,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs, urlencode, urlsplit
 
 from breplake.errors import InputError, UsageError
-from breplake.ingest.failure import Failure
+from breplake.ingest.failure import Failure, advise, detail_of
 from breplake.ingest.inputs import Input
 from breplake.ingest.printable import printable
 from breplake.ingest.sources.facts import NO_FACTS, Facts
 from breplake.ingest.sources.onshape_api import base_address
 from breplake.ingest.sources.onshape_parts import PREFIX, Document, Onshape, Part
 from breplake.ingest.sources.origin import UriOrigin
+from breplake.ingest.sources.waiting import Tell, silent
+from breplake.schema.identity import model_id
 
-__all__ = ["PREFIX", "Query", "documents_in", "is_onshape", "onshape_inputs"]
+__all__ = ["PREFIX", "SEARCH", "Query", "documents_in", "is_onshape", "onshape_inputs"]
+
+SEARCH: Final = "search"
+"""Format of the input that stands for a search that failed."""
 
 COLLECTION: Final = "onshape"
 """Collection of the models, if none is given: names hold ids, which are unique."""
@@ -97,6 +101,12 @@ class Query:
             raise UsageError(f"{source}: limit must be a number of documents, got {limit!r}")
         return cls(None, options.get("q", ""), int(limit), grouped)
 
+    @property
+    def name(self) -> str:
+        """What identifies a search: its source without the prefix, however it was written."""
+        more = "&by=studio" if self.by_studio else ""
+        return f"public?{urlencode({'q': self.text, 'limit': self.limit})}{more}"
+
     @staticmethod
     def _check(source: str, options: dict[str, str], known: tuple[str, ...]) -> None:
         other = sorted(set(options) - set(known))
@@ -109,12 +119,13 @@ def onshape_inputs(
     query: Query,
     onshape: Onshape,
     collection: str | None,
+    whole: set[int],
     facts: Facts = NO_FACTS,
-    tell: Callable[[str], None] = lambda _text: None,
+    tell: Tell = silent,
 ) -> list[Input]:
     """Return the parts that a query finds as inputs; those not known yet are translated now.
 
-    A document or part that cannot be had is an input that failed.
+    A search, document or part that cannot be had is an input that failed.
 
     Parameters
     ----------
@@ -124,31 +135,52 @@ def onshape_inputs(
         Reads it.
     collection : str, optional
         Collection of the models; ``onshape`` by default.
+    whole : set of int
+        Takes the ids that searches and documents have as inputs where they cannot be had, of
+        those that can.
     facts : Facts
         What is known of all these models besides.
-    tell : callable
-        Takes a line of progress now and then.
+    tell : Tell
+        Takes the progress now and then.
     """
     group = printable(collection or COLLECTION)
-    if query.document is not None:
-        documents = [query.document]
-    else:
-        documents = list(onshape.public(query.text, query.limit))
+    documents, inputs = _documents(query, onshape, group, whole)
     parts: list[Part] = []
-    inputs: list[Input] = []
     for number, document in enumerate(documents, 1):
         try:
             parts += onshape.parts(document, by_studio=query.by_studio)
+            whole.add(model_id(group, document.id))
         except InputError as error:
-            failure = Failure("fetch", error.kind, str(error), fatal=True)
-            inputs.append(_failed(PREFIX + document.id, group, document.id, failure))
-        tell(f"Onshape: {number} of {len(documents)} documents listed, {len(parts)} models")
+            inputs.append(_failed(PREFIX + document.id, group, document.id, error))
+        tell(f"Onshape: documents listed, {len(parts)} models", number, len(documents))
     with ThreadPoolExecutor(_AT_ONCE) as pool:
         fetched = pool.map(lambda part: _input(part, onshape, group), parts)
         for number, item in enumerate(fetched, 1):
             inputs.append(replace(item, facts=facts.over(item.facts)))
-            tell(f"Onshape: {number} of {len(parts)} models there")
+            tell("Onshape: models translated and downloaded", number, len(parts))
     return inputs
+
+
+def _documents(
+    query: Query, onshape: Onshape, group: str, whole: set[int]
+) -> tuple[list[Document], list[Input]]:
+    """Return the documents of a query, and the failure of a search that did not come to its end.
+
+    What it had found until then is read.
+    """
+    if query.document is not None:
+        return [query.document], []
+    found: list[Document] = []
+    name = printable(query.name)
+    try:
+        for document in onshape.public(query.text, query.limit):
+            found.append(document)  # noqa: PERF402 -- those before an error are kept
+    except InputError as error:
+        detail = f"{PREFIX}{name}: {detail_of(error.kind, str(error))}"
+        failed = InputError("search-failed", advise("search-failed", detail))
+        return found, [_failed(PREFIX + name, group, name, failed, SEARCH)]
+    whole.add(model_id(group, name))
+    return found, []
 
 
 def _input(part: Part, onshape: Onshape, group: str) -> Input:
@@ -156,8 +188,7 @@ def _input(part: Part, onshape: Onshape, group: str) -> Input:
     try:
         download, address = onshape.fetch(part)
     except InputError as error:
-        failure = Failure("fetch", error.kind, str(error), fatal=True)
-        return _failed(shown, group, part.path, failure)
+        return _failed(shown, group, part.path, error)
     return Input(
         _NOWHERE,
         group,
@@ -171,8 +202,9 @@ def _input(part: Part, onshape: Onshape, group: str) -> Input:
     )
 
 
-def _failed(shown: str, group: str, name: str, failure: Failure) -> Input:
-    return Input(_NOWHERE, group, name, "step", failure=failure, shown=shown)
+def _failed(shown: str, group: str, name: str, error: InputError, format: str = "step") -> Input:
+    failure = Failure("fetch", error.kind, str(error), fatal=True)
+    return Input(_NOWHERE, group, name, format, failure=failure, shown=shown)
 
 
 def documents_in(address: str) -> bool:

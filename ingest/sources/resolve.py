@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from threading import RLock
 
 from breplake.errors import UsageError
+from breplake.ingest.hashing import Hasher
 from breplake.ingest.inputs import Input, find_inputs
 from breplake.ingest.sources.abc_names import chunk_of, is_meta_chunk, meta_chunk
 from breplake.ingest.sources.archives import archive_id, archive_inputs, check_metadata
@@ -32,7 +32,7 @@ from breplake.ingest.sources.onshape_api import Keys, OnshapeApi, base_address
 from breplake.ingest.sources.onshape_parts import Onshape
 from breplake.ingest.sources.origin import MemberOrigin
 from breplake.ingest.sources.survey import FACTS, Survey, survey
-from breplake.ingest.sources.waiting import Waiting
+from breplake.ingest.sources.waiting import Tell, Waiting, silent
 from breplake.ingest.sources.web import Web
 
 __all__ = ["Sources"]
@@ -41,7 +41,7 @@ __all__ = ["Sources"]
 class Sources:
     """Finds the inputs of sources and brings their bytes. Make one with :meth:`open`.
 
-    Nothing is opened or made on disk before it is needed: plain files and folders need nothing.
+    Nothing is opened or made on disk before it is needed.
 
     Parameters
     ----------
@@ -49,24 +49,36 @@ class Sources:
         Closes what is opened.
     limits : Limits
         How far archives are trusted.
-    tell : callable
-        Takes a line of progress now and then.
     waiting : Waiting
         Ends what takes long.
+    tell : Tell
+        Takes the progress now and then.
+    warn : callable
+        Takes what the user should know though the run goes on.
+    rehash : bool
+        Read also the files whose hash is remembered.
 
     Attributes
     ----------
     limits : Limits
         As given.
     whole : set of int
-        Ids of the inputs that would stand for the archives and rows of lists that were found,
-        could they not be used.
+        Ids of the inputs that would stand for the archives, rows of lists and searches that were
+        found, could they not be used.
     """
 
     def __init__(
-        self, stack: ExitStack, limits: Limits, tell: Callable[[str], None], waiting: Waiting
+        self,
+        stack: ExitStack,
+        limits: Limits,
+        waiting: Waiting,
+        tell: Tell,
+        warn: Callable[[str], None],
+        rehash: bool,
     ) -> None:
-        self._stack, self.limits, self._tell, self._waiting = stack, limits, tell, waiting
+        self._stack, self.limits, self._waiting = stack, limits, waiting
+        self._tell, self._warn, self._rehash = tell, warn, rehash
+        self._hasher: Hasher | None = None
         self._lock = RLock()
         self._ledger: Ledger | None = None
         self._downloads: Downloads | None = None
@@ -78,8 +90,11 @@ class Sources:
     def open(
         cls,
         limits: Limits | None = None,
-        tell: Callable[[str], None] | None = None,
+        tell: Tell = silent,
         stop: Callable[[], bool] | None = None,
+        warn: Callable[[str], None] = lambda _text: None,
+        *,
+        rehash: bool = False,
     ) -> Iterator[Sources]:
         """Open what finds inputs; it is of use until the block ends.
 
@@ -87,14 +102,18 @@ class Sources:
         ----------
         limits : Limits, optional
             How far archives are trusted.
-        tell : callable, optional
-            Takes a line of progress now and then.
+        tell : Tell, optional
+            Takes the progress now and then.
         stop : callable, optional
             Asked often; once it returns True, what is under way ends by KeyboardInterrupt.
+        warn : callable, optional
+            Takes a line of what the user should know though the run goes on.
+        rehash : bool
+            Read also the files that look as they did when they were hashed by an earlier run.
         """
         waiting = Waiting(stop or (lambda: False))
         with ExitStack() as stack:
-            yield cls(stack, limits or Limits(), tell or (lambda _text: None), waiting)
+            yield cls(stack, limits or Limits(), waiting, tell, warn, rehash)
 
     def find(self, sources: Sequence[str | Path], collection: str | None = None) -> list[Input]:
         """List the inputs of `sources`, sorted by collection and name.
@@ -137,7 +156,9 @@ class Sources:
             else:
                 plain.append(path)
         inputs += self._of_archives(_once(archives), collection)
-        return _merged([*find_inputs(plain, collection), *inputs])
+        if plain:
+            inputs += find_inputs(plain, collection, self._opened_hasher())
+        return _merged(inputs)
 
     @contextmanager
     def fetcher(self, inputs: Iterable[Input], folder: Path) -> Iterator[Fetcher | None]:
@@ -175,12 +196,15 @@ class Sources:
         given = {_number(path): path for path in paths if is_meta_chunk(path)}
         metadata = {path: given.get(_number(path)) or meta for path, meta in beside.items()}
         every = list(dict.fromkeys([*paths, *(path for path in metadata.values() if path)]))
-        surveys: dict[Path, Survey] = {}
-        with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
-            found = pool.map(lambda path: survey(path, ledger, self.limits, self._waiting), every)
-            for path, result in zip(every, found, strict=True):
-                surveys[path] = result
-                self._tell(f"{path}: {len(result.members)} CAD files")
+        hasher, limits, waiting = self._opened_hasher(), self.limits, self._waiting
+
+        def read(path: Path) -> Survey:
+            return survey(path, ledger, limits, waiting, hasher)
+
+        threads = len(os.sched_getaffinity(0))
+        surveys = dict(
+            zip(every, hasher.over(every, read, "reading archives", threads), strict=True)
+        )
         for path, meta in metadata.items():
             if meta is not None:
                 check_metadata(meta, surveys[meta])
@@ -203,20 +227,41 @@ class Sources:
                 yield from self._of_query(query, group, row)
             else:
                 rows.append(row)
-        yield from list_inputs(path, rows, collection, self._opened_downloads, self.whole, taken)
+        yield from list_inputs(
+            path,
+            rows,
+            collection,
+            self._opened_downloads,
+            self.whole,
+            taken,
+            self._opened_hasher(),
+        )
 
     def _of_onshape(self, source: str, collection: str | None) -> list[Input]:
         return self._of_query(Query.parse(source), collection, None)
 
     def _of_query(self, query: Query, collection: str | None, row: Row | None) -> list[Input]:
         facts = row.facts if row else NO_FACTS
-        return onshape_inputs(query, self._opened_onshape(), collection, facts, self._tell)
+        onshape = self._opened_onshape()
+        return onshape_inputs(query, onshape, collection, self.whole, facts, self._tell)
 
     def _opened_ledger(self) -> Ledger:
         with self._lock:
             if self._ledger is None:
                 self._ledger = self._stack.enter_context(Ledger.open())
             return self._ledger
+
+    def _opened_hasher(self) -> Hasher:
+        if self._hasher is None:
+            ledger = None
+            try:
+                ledger = self._opened_ledger()
+            except UsageError as error:  # of the cache, which files that are here can do without
+                self._warn(f"hashes of files are not remembered, because {error}")
+            self._hasher = Hasher(
+                ledger, self._waiting, self._tell, self._warn, rehash=self._rehash
+            )
+        return self._hasher
 
     def _opened_downloads(self) -> Downloads:
         def again(uri: str, into: Path) -> None:

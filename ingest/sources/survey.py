@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import platform
 from contextlib import closing, suppress
@@ -11,7 +10,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
-from breplake.errors import RefusedSourceError
+from breplake.errors import InputError, RefusedSourceError
+from breplake.ingest.failure import detail_of
+from breplake.ingest.hashing import Hasher
 from breplake.ingest.sources.entry import Damage
 from breplake.ingest.sources.ledger import Ledger
 from breplake.ingest.sources.limits import Limits, Meter
@@ -114,7 +115,7 @@ def facts_key(archive: str, model: str) -> str:
     return f"{archive}/{model}"
 
 
-def survey(path: Path, ledger: Ledger, limits: Limits, waiting: Waiting) -> Survey:
+def survey(path: Path, ledger: Ledger, limits: Limits, waiting: Waiting, hasher: Hasher) -> Survey:
     """Find out what the archive at `path` holds; its bytes decide whether that is known already.
 
     Parameters
@@ -127,13 +128,16 @@ def survey(path: Path, ledger: Ledger, limits: Limits, waiting: Waiting) -> Surv
         How far it is trusted.
     waiting : Waiting
         Asked often whether to go on.
+    hasher : Hasher
+        Reads it for its hash, unless that is remembered.
     """
     try:
-        with path.open("rb") as file:
-            before = _state(path)
-            digest = hashlib.file_digest(file, "sha256").hexdigest()
+        before = _state(path)
+        digest = hasher.digest([path]).sha256
     except OSError as error:
         return Survey(None, damage=("unreadable", error.strerror or str(error)))
+    except InputError as error:
+        return Survey(None, damage=(error.kind, detail_of(error.kind, str(error))))
     key = f"{digest}/{limits.member}"
     of_readers = f"{key}/{_readers()}"
     known = ledger.get(_KIND, of_readers)

@@ -6,10 +6,18 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-__all__ = ["Waiting"]
+__all__ = ["Tell", "Waiting", "silent"]
 
 _STEP: Final = 0.5
 """Seconds between two looks whether to stop."""
+
+
+Tell = Callable[[str, int, int | None], None]
+"""Takes what is being done, how much of it is done, and of how much; None while that is unknown."""
+
+
+def silent(_text: str, _done: int, _total: int | None) -> None:
+    """Tell nobody."""
 
 
 class Waiting:

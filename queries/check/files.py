@@ -60,9 +60,20 @@ class LakeView:
     @cached_property
     def contract_faults(self) -> dict[str, str]:
         """What keeps a Parquet file from being read by its contract, by path."""
-        whole = self.snapshot.contract == CONTRACT
-        faults = {e.path: _contract_fault(self.path(e), e.table, whole) for e in self.tables}
-        return {path: fault for path, fault in faults.items() if fault}
+        faults: dict[str, str] = {}
+        alike: dict[tuple[str, str], dict[str, int]] = {}
+        for entry in self.tables:
+            contract = self.snapshot.contract_of(entry.shard)
+            fault, columns = _contract_fault(self.path(entry), entry.table, contract == CONTRACT)
+            if fault:
+                faults[entry.path] = fault
+            elif contract:
+                alike.setdefault((entry.table, contract), {})[entry.path] = columns
+        for (_, contract), found in alike.items():
+            usual = Counter(found.values()).most_common(1)[0][0]
+            for path in (path for path, columns in found.items() if columns != usual):
+                faults[path] = f"its columns are not those of other files of contract {contract}"
+        return faults
 
     @cached_property
     def readable(self) -> tuple[FileEntry, ...]:
@@ -100,31 +111,33 @@ class LakeView:
         return empty.append_column("file_shard", pa.array([], pa.string()))
 
 
-def _contract_fault(path: Path, table: str, whole: bool) -> str:
-    """Return how the schema of a file differs from its contract; empty if it does not.
+def _contract_fault(path: Path, table: str, whole: bool) -> tuple[str, int]:
+    """Return how the schema of a file differs from its contract, and a hash of its columns.
+
+    The text is empty if it does not differ.
 
     Unless the snapshot says that files are `whole`, one of an older breplake may lack columns,
     and members of structures, that can be null.
     """
     if table not in TABLES:
-        return f"the contract has no table {table}"
+        return f"the contract has no table {table}", 0
     try:
         found = pq.read_schema(path)
     except FileNotFoundError:
-        return "the file is not there"
+        return "the file is not there", 0
     except (OSError, pa.ArrowException) as error:
-        return f"not a Parquet file: {error}"
+        return f"not a Parquet file: {error}", 0
     wanted = TABLES[table].schema
     if not whole:
         wanted = pa.schema([f for f in wanted if f.name in found.names or not f.nullable])
     if found.names != wanted.names:
         missing = [n for n in wanted.names if n not in found.names]
         added = [n for n in found.names if n not in wanted.names]
-        return f"columns differ: missing {missing}, not in the contract {added}"
+        return f"columns differ: missing {missing}, not in the contract {added}", 0
     for have, want in zip(found, wanted, strict=True):
         if not have.equals(want) and (whole or not is_older(have, want)):
-            return f"column {have.name} is {have} instead of {want}"
-    return ""
+            return f"column {have.name} is {have} instead of {want}", 0
+    return "", hash(tuple((field.name, str(field.type)) for field in found))
 
 
 @lake_rule("files", "size and SHA-256 of every file are those of the snapshot")

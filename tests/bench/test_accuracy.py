@@ -10,7 +10,7 @@ pytest.importorskip("scipy")
 
 import breplake
 from breplake.bench.accuracy import sampling
-from breplake.bench.accuracy.sampling import Found, judge, report
+from breplake.bench.accuracy.sampling import Found, holds, judge, report
 from breplake.schema.trimming.sampling import UniformSampler
 
 UNLIKELY = 1e-6
@@ -29,6 +29,7 @@ def test_a_right_sampler_passes(lake, name):
     assert (found.points, found.outside) == (3000, 0)
     assert len(found.chances) > 1
     assert min(found.chances) > UNLIKELY
+    assert holds([found])
 
 
 def test_a_wrong_sampler_is_seen(lake, monkeypatch):
@@ -45,6 +46,7 @@ def test_a_wrong_sampler_is_seen(lake, monkeypatch):
     monkeypatch.setattr(UniformSampler, "draw", crowded)
     found = judge(lake, lake.model("mug")["model_id"], 3000)
     assert min(found.chances) < UNLIKELY
+    assert not holds([found])
 
 
 def test_points_outside_are_seen(lake, monkeypatch):
@@ -56,7 +58,9 @@ def test_points_outside_are_seen(lake, monkeypatch):
 
     monkeypatch.setattr(UniformSampler, "draw", shifted)
     plate = lake.model("base_plate_mm")["model_id"]
-    assert judge(lake, plate, 500).outside > 0
+    found = judge(lake, plate, 500)
+    assert found.outside > 0
+    assert not holds([found])
 
 
 def test_the_report():

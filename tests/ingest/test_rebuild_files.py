@@ -148,6 +148,26 @@ def test_the_same_bytes_each_time(tmp_path):
     assert texts[0] == texts[1]
 
 
+@pytest.mark.parametrize(
+    "names",
+    [("a", "b"), (None, None), ("Träger 13°", "支架"), ("Open CASCADE STEP translator 7.9 1",) * 2],
+)
+def test_names_come_back(names, tmp_path):
+    """Also in other alphabets, none at all, and those that the kernel makes up."""
+    boxes = [cq.Solid.makeBox(1, 2, 3 + i).moved(cq.Location((9 * i, 0, 0))) for i in range(2)]
+    line = cq.Edge.makeLine(cq.Vector(5, 0, 0), cq.Vector(6, 0, 0))
+    source = tmp_path / "two.brep"
+    cq.Shape.cast(compound(*(shape.wrapped for shape in (*boxes, line)))).exportBrep(str(source))
+    before, _ = ingested(source, "brep")
+    parts = before["parts"]
+    at = parts.schema.get_field_index("name")
+    before["parts"] = parts.set_column(at, parts.schema.field(at), pa.array(names, pa.string()))
+    write(before, tmp_path / "again.step")
+    after, _ = ingested(tmp_path / "again.step")
+    assert after["parts"].column("name").to_pylist() == list(names)
+    assert table_differences(before, after) == []
+
+
 def test_wires_and_points_go_along(tmp_path):
     line = cq.Edge.makeLine(cq.Vector(5, 0, 0), cq.Vector(6, 0, 0)).wrapped
     shape = compound(cq.Solid.makeBox(1, 2, 3).wrapped, line)

@@ -145,7 +145,7 @@ def test_stopping_commits_what_is_finished(parts, whole, tmp_path):
     lake = tmp_path / "lake"
     done = []
     summary = ingest_small(
-        parts, lake, progress=lambda _, s: done.append(s.n_done), stop=lambda: done[-1] >= 3
+        parts, lake, progress=lambda _, s: done.append(s.n_done), stop=lambda: done[-1:] >= [3]
     )
     assert summary.stopped
     assert 3 <= summary.n_models < 6

@@ -56,6 +56,25 @@ def test_a_wrong_evaluation_is_found(tmp_path):
     assert errors["Torus"].worst["position"] > TOLERANCES["position"]
 
 
+def test_what_is_not_evaluated_is_found(tmp_path, monkeypatch):
+    """A set of surfaces that evaluates nothing does not pass for want of differences."""
+    from breplake.schema.surfaces import SurfaceSet
+
+    points = SurfaceSet.points
+
+    def nothing(self, row, u, v):
+        found = points(self, row, u, v)
+        for part in (found.normal, found.k_min, found.k_max):
+            part[:] = np.nan
+        return found
+
+    monkeypatch.setattr(SurfaceSet, "points", nothing)
+    from breplake.ingest.samples import write_samples
+
+    (path,) = write_samples(tmp_path, ["ring_o"])
+    assert compared(path, 20)["Torus"].failed == ["flagged"]
+
+
 def test_the_report():
     one, two = Errors(patches=2, points=40), Errors(patches=1, points=20, flagged=3)
     one.worst["normal"] = 1e-9

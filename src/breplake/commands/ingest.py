@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from breplake.commands.options import LakeOption, console
-from breplake.errors import RefusedSourceError, UsageError
+from breplake.errors import BreplakeError, InputError, RefusedSourceError, UsageError
 
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from breplake.ingest.inputs import Input
     from breplake.ingest.plan import Plan
     from breplake.ingest.run import Summary
 
@@ -70,6 +69,12 @@ def ingest(
         list[str] | None,
         typer.Option(help="Retry only failures of this kind; may be given more than once."),
     ] = None,
+    rehash: Annotated[
+        bool,
+        typer.Option(
+            "--rehash", help="Read every file, also those that look as they did when last read."
+        ),
+    ] = False,
     max_expansion: Annotated[
         float, typer.Option(help="How many times its size an archive may unpack to.")
     ] = 250.0,
@@ -116,7 +121,7 @@ def ingest(
         mesh=mesh, max_edge=max_edge, uv_grid=uv_grid, timeout=timeout, memory=memory
     )
     errors = console(error=True)
-    with _Bar(errors) as bar, _stop_signals(errors) as stop:
+    with _Bar(errors) as bar, _stop_signals(errors) as stop, _planning_stopped(bar, stop):
         summary = run(
             sources,
             lake,
@@ -133,19 +138,40 @@ def ingest(
             work=work,
             limits=Limits(expansion=max_expansion),
             tell=bar.tell,
+            warn=bar.warn,
+            rehash=rehash,
         )
     _report(console(), summary, lake)
     if summary.stopped:
         raise typer.Exit(130)
+    if summary.refused or summary.unanswered:
+        raise _unread(summary)
+
+
+def _unread(summary: Summary) -> BreplakeError:
+    """Return the error that tells of sources of which nothing was read, when all else is done."""
+    sources = [*summary.refused, *summary.unanswered]
+    reasons = [item.failure.message for item in sources[:_NAMED] if item.failure]
+    more = f"; and {len(sources) - _NAMED} more sources" if len(sources) > _NAMED else ""
+    text = "; ".join(reasons) + more
     if summary.refused:
-        raise _refusal(summary.refused)
+        return RefusedSourceError(text)
+    return InputError("search-failed", text)
 
 
-def _refusal(archives: Sequence[Input]) -> RefusedSourceError:
-    """Return the error that tells of archives that were refused, when all else is done."""
-    reasons = [item.failure.message for item in archives[:_NAMED] if item.failure]
-    more = f"; and {len(archives) - _NAMED} more archives" if len(archives) > _NAMED else ""
-    return RefusedSourceError("; ".join(reasons) + more)
+@contextmanager
+def _planning_stopped(bar: _Bar, stop: Callable[[], bool]) -> Iterator[None]:
+    """Say how things stand when the run ended before it began."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if not (bar.is_planning and stop()):
+            raise
+        bar.warn(
+            "stopped while the sources were looked through: nothing was ingested; "
+            "what was found out is remembered, the same command goes on from here"
+        )
+        raise typer.Exit(130) from None
 
 
 @contextmanager
@@ -191,7 +217,13 @@ def _report_status(out: Console, lake: str, work: Path | None) -> None:
 
 
 class _Bar:
-    """A progress bar with rate, time left and failures so far."""
+    """A progress bar: how far the sources are looked through, then the run.
+
+    Attributes
+    ----------
+    is_planning : bool
+        Whether the run has not begun yet.
+    """
 
     def __init__(self, target: Console) -> None:
         from rich.progress import (
@@ -203,8 +235,9 @@ class _Bar:
             TimeRemainingColumn,
         )
 
+        self.is_planning = True
         self.bar = Progress(
-            TextColumn("ingest"),
+            TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
             TextColumn("{task.fields[rate]}"),
@@ -215,7 +248,7 @@ class _Bar:
             console=target,
             transient=True,
         )
-        self.task = self.bar.add_task("models", total=None, rate="", failed="")
+        self.task = self.bar.add_task("plan", total=None, rate="", failed="")
 
     def __enter__(self) -> _Bar:
         self.bar.start()
@@ -224,17 +257,28 @@ class _Bar:
     def __exit__(self, *_: Any) -> None:
         self.bar.stop()
 
-    def tell(self, text: str) -> None:
-        """Show what is done before the number of models is known."""
-        self.bar.update(self.task, rate=text)
+    def tell(self, text: str, done: int, total: int | None) -> None:
+        """Show how far the sources are looked through."""
+        from rich.markup import escape
+
+        self.bar.update(self.task, total=total, completed=done, rate=escape(text))
+
+    def warn(self, text: str) -> None:
+        """Print a line that stays."""
+        from rich.markup import escape
+
+        self.bar.console.print(f"[yellow]{escape(text)}", soft_wrap=True)
 
     def update(self, plan: Plan, summary: Summary) -> None:
         """Show where the run stands."""
+        if self.is_planning:  # its clock starts now
+            self.is_planning = False
+            self.bar.reset(self.task, total=len(plan.todo), description="ingest")
         done = summary.n_done
         elapsed = self.bar.tasks[0].elapsed or 0.0
         rate = f"{60 * done / elapsed:.0f}/min" if done and elapsed else ""
         failed = f"{summary.n_fatal} failed" if summary.n_fatal else ""
-        self.bar.update(self.task, total=len(plan.todo), completed=done, rate=rate, failed=failed)
+        self.bar.update(self.task, completed=done, rate=rate, failed=failed)
 
 
 def _report(out: Console, summary: Summary, lake: str) -> None:
