@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-__all__ = ["KILLED", "KINDS", "STAGES", "Failure", "advise", "detail_of"]
+__all__ = ["CHANGED", "KILLED", "KINDS", "STAGES", "Failure", "advise", "detail_of"]
 
 STAGES: Final = ("plan", "fetch", "read", "load", "brep", "import", "mesh", "truth", "write")
 """Stages of a model's way into the lake, in order."""
@@ -35,6 +35,7 @@ KINDS: Final[dict[str, str]] = {
     "bad-features": "the features YAML cannot be understood; get the published file again",
     "bad-mesh": "the trimesh OBJ cannot be understood; get the published file again",
     "features-mismatch": "the features are not of this model; check that the files belong together",
+    "areas-failed": "exact areas could not be derived; those of Open CASCADE's quadrature are kept",
     "count-mismatch": "Gmsh sees other entities than the B-Rep has; the exact rows are kept",
     "mesh-failed": "the model cannot be meshed this way; check the faulty entity in the CAD system",
     "mesh-incomplete": "its boundary is probably faulty; repair the face in the CAD system",
@@ -49,6 +50,8 @@ KINDS: Final[dict[str, str]] = {
 }
 """Stable, append-only codes of failures, each with what it means for the user."""
 
+CHANGED: Final = ("read", "hash-mismatch")
+"""Stage and kind of a failure of files that changed between planning and reading."""
 
 KILLED: Final = ("timeout", "mesh-hang", "killed-signal", "worker-died")
 """Kinds in which the worker did not live to count its CPU time."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePath
@@ -93,6 +94,11 @@ class Input:
         object.__setattr__(self, "shown", self.shown or printable(self.path))
 
     @property
+    def files(self) -> list[Path]:
+        """All files, in the order in which they are hashed."""
+        return [self.path, *(path for _, path in self.beside)]
+
+    @property
     def companions(self) -> dict[str, Path]:
         """ABC's files beside a CAD file by kind, or all of them where there is none."""
         own = {"features": self.path} if self.format == ABC_FORMAT else {}
@@ -104,12 +110,13 @@ def find_inputs(
 ) -> list[Input]:
     """List the models of `sources` in order of their names.
 
-    A folder is searched with its subfolders; every entry there whose name ends like a CAD
-    file, or is that of a file of the ABC dataset, is an input or part of one, even if it turns
-    out to be a folder or unreadable. Other files are not. A folder that cannot be listed is an
-    input that failed. Names leave out the extension; of two files that differ in nothing else,
-    the second in order keeps it in its name. ABC's files of one model are one input, together
-    with the CAD file of that name; stats and metadata alone are none.
+    A folder is searched with its subfolders, also those behind links, each of them once; every
+    entry there whose name ends like a CAD file, or is that of a file of the ABC dataset, is an
+    input or part of one, even if it turns out to be a folder or unreadable. Other files are not.
+    A folder that cannot be listed is an input that failed. Names leave out the extension; of two
+    files that differ in nothing else, the second in order keeps it in its name. ABC's files of one
+    model are one input, together with the CAD file of that name; stats and metadata alone are
+    none.
 
     Parameters
     ----------
@@ -203,13 +210,40 @@ def _walk(
     folder: Path, closed: Callable[[OSError], None], look: Callable[[], None]
 ) -> Iterator[Path]:
     """Yield the entries below `folder` that are named like files of models, in sorted order."""
-    for directory, folders, files in os.walk(folder, onerror=closed):
-        folders.sort()
+    for directory, folders, files in _folders(folder, closed):
         for name in sorted([*files, *folders]):
             look()
             path = Path(directory) / name
             if cad_format(path.name) is not None or _abc_file(path) is not None:
                 yield path
+
+
+def _folders(
+    top: Path, closed: Callable[[OSError], None]
+) -> Iterator[tuple[str, list[str], list[str]]]:
+    """Yield folders as `os.walk` does, those behind links too, but each once.
+
+    Links come last, so that what is here by itself is named by its own path.
+    """
+    seen: set[tuple[int, int]] = set()
+    waiting = deque([str(top)])
+    while waiting:
+        for directory, folders, files in os.walk(waiting.popleft(), onerror=closed):
+            try:
+                status = os.stat(directory)
+            except OSError as error:  # it was removed meanwhile
+                closed(error)
+                folders.clear()
+                continue
+            place = status.st_dev, status.st_ino
+            if place in seen:
+                folders.clear()
+                continue
+            seen.add(place)
+            folders.sort()
+            paths = (os.path.join(directory, name) for name in folders)
+            waiting.extend(path for path in paths if os.path.islink(path))
+            yield directory, folders, files
 
 
 def cad_format(name: str) -> str | None:

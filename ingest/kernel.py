@@ -6,6 +6,7 @@ are batched by entity: one Python call evaluates a whole patch.
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -32,8 +33,8 @@ _Ints = npt.NDArray[np.int64]
 _VANISHING: Final = 1e-9
 """A derivative this much shorter than usual on its patch is zero but for rounding."""
 
-_LONG: Final = re.compile(r"-?\d+\.\d{12,}(?:e[+-]?\d+)?")
-"""A number of more digits than `_round` keeps."""
+_LONG: Final = re.compile(rb"-?\d+\.\d{12,}(?:e[+-]?\d+)?")
+"""A number of more digits than `_rounded` keeps."""
 
 _OPTIONS: Final = {
     "General.Terminal": 0,
@@ -88,22 +89,22 @@ class GmshModel:
     ------
     InputError
         ``count-mismatch`` if Gmsh's entities are not ours, one for one.
+    OSError
+        If the BREP file cannot be written, which is no fault of the model.
     """
 
     def __init__(self, gmsh: Any, brep: Brep, folder: Path) -> None:
-        from OCP.BRepTools import BRepTools
-
         self.gmsh = gmsh
         self.brep = brep
         path = folder / "model.brep"
         complaint = ""
         try:
-            with KERNEL():
-                BRepTools.Write_s(brep.canonical.compound, str(path))
-            _round(path)
+            path.write_bytes(_rounded(brep))
             with KERNEL():
                 gmsh.model.occ.importShapes(str(path), highestDimOnly=False, format="brep")
                 gmsh.model.occ.synchronize()
+        except OSError:  # of the disk
+            raise
         except Exception as error:  # gmsh raises plain Exception for everything
             # It complains of faulty wires too and imports them all the same.
             complaint = f" ({error})"
@@ -249,14 +250,19 @@ class GmshModel:
         return point
 
 
-def _round(path: Path) -> None:
-    """Round the numbers of a BREP file to 14 digits.
+def _rounded(brep: Brep) -> bytes:
+    """Return a B-Rep as a BREP file whose numbers are rounded to 14 digits.
 
-    The mesher decides ties by the last bit, which differs between a part in inches and the
-    same part in millimetres. Geometry moves by less than 1e-13 of its size.
+    It is made in memory: of a file, Open CASCADE does not say why it cannot be written. The
+    mesher decides ties by the last bit, which differs between a part in inches and the same part
+    in millimetres. Geometry moves by less than 1e-13 of its size.
     """
-    text = path.read_text()
-    path.write_text(_LONG.sub(lambda found: f"{float(found[0]):.14g}", text))
+    from OCP.BRepTools import BRepTools
+
+    stream = io.BytesIO()
+    with KERNEL():
+        BRepTools.Write_s(brep.canonical.compound, stream)
+    return _LONG.sub(lambda found: b"%.14g" % float(found[0]), stream.getvalue())
 
 
 class ClosedForm:

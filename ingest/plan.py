@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from breplake.errors import UsageError
-from breplake.ingest.failure import KINDS
+from breplake.ingest.failure import CHANGED, KINDS
 from breplake.ingest.inputs import Input
 from breplake.ingest.settings import Settings
 from breplake.schema.lake import LakeStore
@@ -149,8 +149,9 @@ def plan(
         elif not is_same:
             changed.append(item)
             # Of what only failed before there is nothing to lose: a file that was repaired since,
-            # or a download that comes now.
-            if redo.changed or (retried and only_failed):
+            # or a download that comes now. One that changed in mid-run was promised another try.
+            is_promised = CHANGED[1] in (kinds or ())
+            if redo.changed or (only_failed and (retried or is_promised)):
                 again.add(item.model_id)
         else:
             unchanged.append(item)

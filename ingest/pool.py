@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from breplake.errors import InputError
-from breplake.ingest.failure import Failure, advise
+from breplake.ingest.failure import CHANGED, Failure, advise
 from breplake.ingest.inputs import Input
 from breplake.ingest.processes import Ended, Processes
 from breplake.ingest.settings import RUNGS, Settings
@@ -55,6 +55,11 @@ class Result:
     def is_unread(self) -> bool:
         """Whether it failed before its file was read, which says nothing about the model."""
         return not self.recorded and any(f.fatal and f.stage in _BEFORE for f in self.failures)
+
+    @property
+    def is_changed(self) -> bool:
+        """Whether its files were no longer those that were planned when they were read."""
+        return not self.recorded and any((f.stage, f.kind) == CHANGED for f in self.failures)
 
 
 def run_models(
@@ -110,6 +115,8 @@ def run_models(
             processes.wait(fetching)
             for future in [future for future in fetching if future.done()]:
                 result = fetching.pop(future)
+                if isinstance(future.exception(), KeyboardInterrupt):
+                    return  # a download that saw `stop` before we did: all in work is given up
                 if _fetched(future, result):
                     _attempt(processes, result, settings, 0)
                 else:

@@ -99,14 +99,16 @@ def _finished(result: Result, shard: str) -> Row:
 
 def _failure_rows(result: Result, config_hash: str) -> list[Row]:
     item = result.input
+    # the bytes of files that changed meanwhile are not known
+    size, sha256 = (None, None) if result.is_changed else (item.bytes, item.sha256)
     return [
         {
             "model_id": item.model_id,
             "collection": item.collection,
             "name": item.name,
             "path": item.shown,
-            "bytes": item.bytes,
-            "sha256": item.sha256,
+            "bytes": size,
+            "sha256": sha256,
             "stage": failure.stage,
             "kind": failure.kind,
             "message": printable(failure.message),

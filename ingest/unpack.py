@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import gzip
-import shutil
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from breplake.errors import InputError
 from breplake.ingest.failure import advise
@@ -15,6 +15,8 @@ __all__ = ["MAX_UNPACKED", "unpacked"]
 
 MAX_UNPACKED: Final = 4 * 2**30
 """Bytes a compressed file may unpack to: far beyond any CAD file, far below a bomb."""
+
+_BLOCK: Final = 2**20
 
 
 def unpacked(source: Path, format: str, folder: Path) -> Path:
@@ -32,28 +34,35 @@ def unpacked(source: Path, format: str, folder: Path) -> Path:
     Raises
     ------
     InputError
-        ``bad-archive`` if it cannot be unpacked.
+        ``bad-archive`` if it cannot be unpacked, ``unreadable`` if it cannot be read.
+    OSError
+        If the content cannot be written, which is no fault of the file.
     """
     if source.suffix.lower() != ".gz":
         return source
     target = folder / f"unpacked.{format}"
-    try:
-        with gzip.open(source) as packed, target.open("wb") as plain:
-            shutil.copyfileobj(_Limited(packed, MAX_UNPACKED), plain, 2**20)
-    except (OSError, EOFError, zlib.error) as error:
-        raise InputError("bad-archive", advise("bad-archive", str(error))) from error
+    with target.open("wb") as plain:
+        for block in _blocks(source):
+            plain.write(block)
     return target
 
 
-class _Limited:
-    """A readable file that refuses to give more than so many bytes."""
+def _blocks(source: Path) -> Iterator[bytes]:
+    """Yield the content of a compressed file; its faults alone are caught, not the caller's."""
+    left = MAX_UNPACKED
+    try:
+        with gzip.open(source) as packed:
+            while block := packed.read(_BLOCK):
+                left -= len(block)
+                if left < 0:
+                    raise _bad(f"it unpacks to more than {MAX_UNPACKED} bytes")
+                yield block
+    except (gzip.BadGzipFile, EOFError, zlib.error) as error:
+        raise _bad(str(error)) from error
+    except OSError as error:
+        message = advise("unreadable", error.strerror or str(error))
+        raise InputError("unreadable", message) from error
 
-    def __init__(self, file: Any, most: int) -> None:
-        self.file, self.left = file, most
 
-    def read(self, size: int = -1, /) -> bytes:
-        data: bytes = self.file.read(size)
-        self.left -= len(data)
-        if self.left < 0:
-            raise OSError(f"it unpacks to more than {MAX_UNPACKED} bytes")
-        return data
+def _bad(detail: str) -> InputError:
+    return InputError("bad-archive", advise("bad-archive", detail))

@@ -33,6 +33,7 @@ from breplake.ingest.spool import HANG_EXIT, Spool
 from breplake.ingest.swept import swept_areas
 from breplake.ingest.tessellation import tessellate
 from breplake.ingest.truth import derive, wind
+from breplake.ingest.unchanged import unchanged
 from breplake.ingest.unpack import unpacked
 from breplake.ingest.versions import versions
 from breplake.schema.abc import ABC_FORMAT
@@ -121,13 +122,14 @@ class _Model:
         if self.input.format == ABC_FORMAT:
             self._import_abc()
             return
-        with self.clock.stage("read"):
-            path = unpacked(self.input.path, self.input.format, self.spool.folder)
-        with self.clock.stage("load"), KERNEL():
-            document = load(path, self.input.format)
-        with self.clock.stage("brep"):
-            brep = self._brep(document)
-            self._read_beside()
+        with unchanged(self.input, self.clock):
+            with self.clock.stage("read"):
+                path = unpacked(self.input.path, self.input.format, self.spool.folder)
+            with self.clock.stage("load"), KERNEL():
+                document = load(path, self.input.format)
+            with self.clock.stage("brep"):
+                brep = self._brep(document)
+                self._read_beside()
         self._write("brep")
         self._add_grids()
         with self.clock.stage("mesh"):
@@ -145,7 +147,7 @@ class _Model:
         with KERNEL():
             valid = BRepCheck_Analyzer(shapes.compound).IsValid()
         self.tables = brep_tables(self.id, brep)
-        if areas := swept_areas(self.tables):
+        if areas := self._swept_areas():
             brep.set_areas(areas)
             self.tables = brep_tables(self.id, brep)
         self.row = (
@@ -161,6 +163,17 @@ class _Model:
         )
         self._identify()
         return brep
+
+    def _swept_areas(self) -> dict[int, float]:
+        """Return exact areas by patch; none where they resist, for Open CASCADE's are at hand."""
+        try:
+            return swept_areas(self.tables)
+        except MemoryError as error:
+            self._note(error)
+        except Exception as error:  # the model is no worse for it
+            detail = f"{type(error).__name__}: {error}"
+            self._note(InputError("areas-failed", advise("areas-failed", detail)))
+        return {}
 
     def _identify(self) -> None:
         """Add the fingerprint and what follows from it."""
@@ -189,7 +202,8 @@ class _Model:
 
     def _import_abc(self) -> None:
         """Take over a model from original ABC files, mesh and all."""
-        found = import_model(self.id, self.input.companions, self.clock)
+        with unchanged(self.input, self.clock):
+            found = import_model(self.id, self.input.companions, self.clock)
         self.tables = found.tables
         self.row = self._source_columns() | found.row
         self._identify()

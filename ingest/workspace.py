@@ -136,7 +136,7 @@ class Workspace:
         """Return the failures of an input that is finished; None if it is not.
 
         A record that cannot be read, as a power cut leaves it, is removed; so is a failure that
-        is to be tried again.
+        is to be tried again, and one of files that changed while the run went on.
         """
         spool = self.spool(item)
         if not (spool.folder / _DONE).exists():
@@ -144,7 +144,8 @@ class Workspace:
         try:
             rows = json.loads((spool.folder / _DONE).read_text())["failures"]
             failures = [Failure(**row) for row in rows]
-            is_whole = spool.is_whole()
+            # files that had changed may be as they were planned by now
+            is_whole = spool.is_whole() and not Result(item, spool, failures).is_changed
         except (ValueError, KeyError, TypeError):
             is_whole = False
         if is_whole:

@@ -93,7 +93,8 @@ def isolate(function: Values, scale: Floats, low: Floats, high: Floats) -> tuple
     An interval is halved until the Chebyshev series shows that the function has no root there
     (its constant term exceeds all others together), or is monotone (the same of its
     derivative): then a root is bracketed by the values at the ends. It is given up where the
-    function's integral over it is lost in the rounding of `scale`.
+    function's integral over it is lost in the rounding of `scale`, and where it has no finite
+    value.
 
     Parameters
     ----------
@@ -120,20 +121,22 @@ def isolate(function: Values, scale: Floats, low: Floats, high: Floats) -> tuple
         t = middle[:, None] + half[:, None] * _NODES
         t[:, 0], t[:, -1] = low, high  # neighbours must see the same sign where they meet
         value = function(np.repeat(index, ORDER + 1), t.ravel())[0].reshape(t.shape)
-        terms = series(value)
+        finite = np.isfinite(value)
+        terms = series(np.where(finite, value, np.nan))
         size = np.abs(terms)
         tail = 4 * size[:, -2:].sum(axis=1)
         slope = np.abs(terms @ _DERIVED)
         known = tail <= _RESOLVED * size.sum(axis=1)
         none = known & (size[:, 0] > size[:, 1:].sum(axis=1) + tail)
         monotone = known & (slope[:, 0] > slope[:, 1:].sum(axis=1) + ORDER**2 * tail)
+        nowhere = ~finite.any(axis=1)
         flat = np.abs(value).max(axis=1) * 2 * half <= 8 * _EPS * scale[index]
         crossing = monotone & ~flat & (np.sign(value[:, 0]) != np.sign(value[:, -1]))
         # a root that is an end of the interval needs no search
         first = np.where(value[:, -1] == 0, high, low)
         last = np.where(value[:, 0] == 0, low, high)
         found.append((index[crossing], first[crossing], last[crossing], value[crossing, 0]))
-        split = ~(none | monotone | flat)
+        split = ~(none | monotone | flat | nowhere)
         index = np.tile(index[split], 2)
         low, high = (
             np.concatenate([low[split], middle[split]]),

@@ -121,13 +121,15 @@ class Downloads:
     def fetch(self, uri: str, sha256: str, target: Path) -> Path:
         """Return a file with the bytes of the given hash: a kept one, or else `target`.
 
+        A kept file that has other bytes by now, after a power cut say, is removed.
+
         Raises
         ------
         InputError
             ``download-failed``, ``too-large``, or ``hash-mismatch`` if the address gives others.
         """
         kept = self.kept(sha256)
-        if kept is not None:
+        if kept is not None and _has(kept, sha256):
             return kept
         self._get(uri, target, {})
         found = _hashed(target).sha256
@@ -149,6 +151,8 @@ class Downloads:
     def _keep(self, path: Path, sha256: str) -> None:
         place = self._place(sha256)
         place.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("rb") as file:
+            os.fsync(file.fileno())  # else a power cut may leave the name without the bytes
         os.replace(path, place)
 
     @contextmanager
@@ -219,6 +223,17 @@ class Downloads:
             if bucket not in self._stores:
                 self._stores[bucket] = from_url(bucket)
             return self._stores[bucket]
+
+
+def _has(kept: Path, sha256: str) -> bool:
+    """Whether a kept file has the bytes that its name says; one with others is removed."""
+    try:
+        is_sound = _hashed(kept).sha256 == sha256
+    except OSError:  # a disk that cannot give it back: the address still can
+        return False
+    if not is_sound:
+        kept.unlink(missing_ok=True)
+    return is_sound
 
 
 def _hashed(path: Path) -> Download:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from contextlib import closing
+import json
+import platform
+from contextlib import closing, suppress
 from dataclasses import dataclass, field, replace
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,7 +26,7 @@ _KIND: Final = "archive-1"
 """Kind of the ledger's entries; another number where they change their meaning."""
 
 _LASTING: Final = ("bad-archive", "encrypted")
-"""Damage that lies in the bytes; other may pass."""
+"""Damage that lies in the bytes, or in the software that reads them; other may pass."""
 
 _PASSING: Final = "unreadable"
 """Problem of a member that lies in the disk or the network, not in the bytes."""
@@ -81,6 +84,11 @@ class Survey:
     damage: tuple[str, str] | None = None
     expansion: float = 0.0
 
+    @property
+    def has_problems(self) -> bool:
+        """Whether the archive or a member cannot be read, which other software may be able to."""
+        return self.damage is not None or any(member.problem for member in self.members)
+
     def document(self) -> dict[str, Any]:
         """Return it as what the ledger keeps."""
         rows = [[m.place, m.name, m.bytes, m.sha256, m.problem] for m in self.members]
@@ -131,18 +139,32 @@ def survey(path: Path, ledger: Ledger, limits: Limits, waiting: Waiting, hasher:
     except InputError as error:
         return Survey(None, damage=(error.kind, detail_of(error.kind, str(error))))
     key = f"{digest}/{limits.member}"
-    known = ledger.get(_KIND, key)
+    of_readers = f"{key}/{_readers()}"
+    known = ledger.get(_KIND, of_readers)
+    if known is None:
+        known = ledger.get(_KIND, key)
+        if known is not None and Survey.of(digest, known).has_problems:
+            known = None  # earlier versions kept these whatever read them
     if known is not None:
         return _judged(Survey.of(digest, known), before[0], limits)
     found, facts = _read(path, digest, limits, waiting)
     if _lasts(found) and _state(path) == before:  # else the hash may be that of other bytes
         ledger.put_all(FACTS, {facts_key(digest, key): value for key, value in facts.items()})
-        ledger.put(_KIND, key, found.document())
+        ledger.put(_KIND, of_readers if found.has_problems else key, found.document())
     return found
 
 
+def _readers() -> str:
+    """Return the versions of what reads archives."""
+    found = {"python": platform.python_version()}
+    for package in ("breplake", "py7zr", "pyarrow"):
+        with suppress(PackageNotFoundError):
+            found[package] = version(package)
+    return json.dumps(found)
+
+
 def _lasts(found: Survey) -> bool:
-    """Whether the bytes of an archive alone decide what was found."""
+    """Whether the bytes of an archive, and the software here, alone decide what was found."""
     if found.damage is not None and found.damage[0] not in _LASTING:
         return False
     return all(member.problem is None or member.problem[0] != _PASSING for member in found.members)

@@ -268,6 +268,18 @@ def test_all_roots_are_isolated():
     np.testing.assert_allclose(found, wanted, atol=1e-7)
 
 
+def test_where_a_function_has_no_value_it_has_no_root():
+    """The first is nowhere defined, the second only where it has its root, the third nowhere."""
+
+    def function(index, t):
+        slope = np.choose(index, [np.nan, np.where(t < 0, np.nan, 1.0), np.inf])
+        return (t - 0.3) * slope, slope
+
+    index, found = isolate(function, np.ones(3), -np.ones(3), np.ones(3))
+    np.testing.assert_array_equal(index, [1])
+    np.testing.assert_allclose(found, [0.3], atol=1e-15)
+
+
 def test_points_at_lengths_along_curves():
     frame = AXES | {"model_id": 1, "tolerance": 0.0, "n_patches": 0, "kind": "free"}
     frame["sharp"] = True

@@ -16,6 +16,8 @@ from breplake.errors import UsageError
 from breplake.ingest.printable import printable
 from breplake.ingest.sources import survey as surveys
 from breplake.ingest.sources.facts import Facts
+from breplake.ingest.sources.ledger import Ledger
+from breplake.ingest.sources.limits import Limits
 from breplake.ingest.sources.resolve import Sources
 
 from .archives import CAD, FILES, FORMATS, MANY, by_member
@@ -121,6 +123,40 @@ def test_an_archive_is_read_once_for_all_runs(tmp_path, monkeypatch, pack):
         assert [item.sha256 for item in moved] == [item.sha256 for item in first]
     changed = pack(tmp_path / "b.tar.gz", FILES | {"parts/b.step": b"other"})
     assert by_member(find(changed))["parts/b.step"].bytes == 5
+
+
+def test_what_software_cannot_read_is_read_again_by_other_software(tmp_path, monkeypatch, pack):
+    path = pack(tmp_path / "a.zip", FILES)
+    read = []
+
+    class Reader(surveys.ArchiveReader):
+        def events(self):
+            read.append(self)
+            for word, values in super().events():
+                if word == "done" and len(read) == 1:
+                    yield "bad", (values[0], "bad-archive", "compression method 99")
+                else:
+                    yield word, values
+
+    monkeypatch.setattr(surveys, "ArchiveReader", Reader)
+    first = find(path)
+    assert set(kinds(first).values()) == {"bad-archive"}
+    assert find(path) == first
+    assert len(read) == 1, "the same software was asked twice"
+    monkeypatch.setattr(surveys, "version", lambda _package: "99")
+    assert kinds(find(path)) == {"empty": "empty-file"}
+    assert find(path) != first
+    assert len(read) == 2, "what is in order depends on no version"
+
+
+def test_problems_that_were_kept_without_versions_are_forgotten(tmp_path, pack):
+    path = pack(tmp_path / "a.zip", FILES)
+    limits = Limits()
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    old = surveys.Survey(digest, damage=("bad-archive", "no such method"))
+    with Ledger.open() as ledger:
+        ledger.put("archive-1", f"{digest}/{limits.member}", old.document())
+    assert set(by_member(find(path))) == CAD
 
 
 def test_reading_ends_when_it_is_asked_to(tmp_path, pack):

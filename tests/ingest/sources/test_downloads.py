@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import gzip
 import hashlib
+import os
 import socket
 import socketserver
 import ssl
@@ -85,6 +86,34 @@ def test_kept_downloads_may_be_removed(tmp_path, downloads, serve):
     target = tmp_path / "t.step"
     assert downloads.fetch(uri, HASH, target) == target
     assert target.read_bytes() == STEP
+
+
+def test_a_kept_download_that_was_damaged_is_fetched_again(tmp_path, downloads, serve):
+    server = serve(lambda *_: (200, {"ETag": '"1"'}, STEP))
+    uri = f"{server.url}/a.step"
+    downloads.find_out(uri)
+    kept = downloads.kept(HASH)
+    assert downloads.fetch(uri, HASH, tmp_path / "t.step") == kept
+    kept.write_bytes(bytes(len(STEP)))  # as a power cut leaves it
+    target = tmp_path / "t.step"
+    assert downloads.fetch(uri, HASH, target) == target
+    assert target.read_bytes() == STEP
+    assert downloads.kept(HASH) is None
+
+
+def test_downloads_are_on_the_disk_before_they_have_their_name(tmp_path, downloads, monkeypatch):
+    flushed = []
+
+    def replace(source, place):
+        assert os.stat(source).st_ino in flushed
+        whole(source, place)
+
+    whole = os.replace
+    monkeypatch.setattr(os, "fsync", lambda number: flushed.append(os.fstat(number).st_ino))
+    monkeypatch.setattr(os, "replace", replace)
+    (tmp_path / "new").write_bytes(STEP)
+    assert downloads.keep(tmp_path / "new").sha256 == HASH
+    assert downloads.kept(HASH).read_bytes() == STEP
 
 
 def test_what_fails_for_now_is_tried_again(downloads, serve):

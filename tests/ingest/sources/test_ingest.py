@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
+import threading
 from pathlib import Path
 
 import pytest
@@ -232,6 +234,32 @@ def test_a_list_of_files_and_addresses(tmp_path, parts, serve):
     assert run(tmp_path / "lake", path).n_models == 1
     rows = breplake.open(tmp_path / "lake").sql("SELECT name FROM failures").fetchall()
     assert rows == [], "the row is in order now"
+
+
+def test_a_download_that_is_stopped_costs_nothing_that_is_finished(tmp_path, parts, serve):
+    """Its thread may see that the run is to stop before the run itself does."""
+    finished, main = threading.Event(), threading.current_thread()
+
+    def answer(*_):
+        assert finished.wait(120)
+        return 200, {}, parts["hinge"]
+
+    (tmp_path / "ring.step").write_bytes(parts["ring_o"])
+    digest = hashlib.sha256(parts["hinge"]).hexdigest()
+    path = tmp_path / "models.csv"
+    path.write_text(f"uri,sha256\nring.step,\n{serve(answer).url}/hinge.step,{digest}\n")
+
+    def progress(_plan, summary):
+        if summary.n_done:
+            finished.set()
+
+    def stop():
+        return finished.is_set() and threading.current_thread() is not main
+
+    summary = run(tmp_path / "lake", path, progress=progress, stop=stop)
+    assert summary.stopped
+    assert models(tmp_path / "lake", "name") == [("ring",)]
+    assert run(tmp_path / "lake", path).n_models == 1
 
 
 def test_a_download_that_fails_first_and_is_there_later(tmp_path, parts, serve):
