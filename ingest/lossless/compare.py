@@ -173,6 +173,8 @@ def compare_model(lake: ModelTables, model_id: int, through_step: bool = False) 
             _compare_through_step(lake, model, result)
     except (BreplakeError, OSError) as error:
         result.verdict, result.reasons = "failed", [str(error)]
+    except Exception as error:  # the kernel raises what it likes; the other models are to go on
+        result.verdict, result.reasons = "failed", [f"{type(error).__name__}: {error}"]
     result.seconds = time.process_time() - begun
     return result
 

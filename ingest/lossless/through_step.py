@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -250,8 +250,7 @@ def _diagonal(parts: pa.Table) -> float:
 
 
 def _whole(table: pa.Table, column: str) -> pa.Array:
-    chunks: Sequence[pa.Array] = table.column(column).chunks
-    return chunks[0] if len(chunks) == 1 else pa.concat_arrays(chunks)
+    return table.column(column).combine_chunks()
 
 
 def _numbers(values: pa.Array) -> Floats:

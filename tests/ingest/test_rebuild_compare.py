@@ -135,6 +135,20 @@ def run(*words):
     return CliRunner().invoke(app, ["rebuild", *map(str, words)])
 
 
+def test_an_error_of_the_kernel_costs_its_model_alone(lake, monkeypatch):
+    from breplake.ingest.lossless import compare
+
+    def fault(*_):
+        raise ValueError("Geom_BSplineCurve: weights too small")
+
+    monkeypatch.setattr(compare, "rebuilt_shapes", fault)
+    result = compare_model(lake, ball(lake))
+    assert (result.verdict, result.reasons) == (
+        "failed",
+        ["ValueError: Geom_BSplineCurve: weights too small"],
+    )
+
+
 def test_the_command_proves_a_lake(place, tmp_path):
     report = tmp_path / "report.json"
     done = run("--compare", "--lake", place / "lake", "-j", 1, "-o", report)

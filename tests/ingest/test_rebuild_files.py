@@ -62,6 +62,15 @@ def test_step_read_again_gives_the_same_tables(name, tmp_path):
     assert scale_again == scale
 
 
+def test_a_model_without_curves_or_without_parts(tmp_path):
+    (path,) = write_samples(tmp_path, ["ball_steel"])
+    before, _ = ingested(path)
+    empty = before | {name: before[name].slice(0, 0) for name in ("parts", "coedges")}
+    none = {name: table.schema.empty_table() for name, table in before.items()}
+    assert table_differences(empty, empty) == []
+    assert table_differences(none, none) == []
+
+
 def test_the_comparison_sees_a_difference(tmp_path):
     (path,) = write_samples(tmp_path, ["ball_steel"])
     before, _ = ingested(path)
