@@ -8,6 +8,8 @@ import shutil
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from breplake.errors import (
@@ -100,9 +102,6 @@ def test_register_reads_the_footer(tiny_lake):
 
 
 def test_register_refuses_what_is_no_file_of_a_lake(own_lake, tmp_path):
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     store = LakeStore.open(own_lake)
     for path in ("tables/models/../../x", "/etc/passwd", "breplake.json", "tables/nuts/a.parquet"):
         with pytest.raises(UsageError):
@@ -146,18 +145,14 @@ def test_a_file_is_added_once(own_lake):
         store.commit([dummy("a")], **META)
 
 
-def test_names_that_share_an_id_collide(own_lake, new_shard, monkeypatch):
+def test_names_that_share_an_id_collide(own_lake):
     store = LakeStore.open(own_lake)
-    import breplake.schema.identities as identities
-
-    new_shard(store, "s2", {"one": (1, 1, 1), "two": (1, 1, 1)})
-    entries = store.register_shard("s2")
-    real = identities._identities
-    monkeypatch.setattr(
-        identities, "_identities", lambda r, f: ((7, n, p) for _, n, p in real(r, f))
-    )
-    with pytest.raises(CommitConflictError, match="share the id 7"):
-        store.commit(entries, **META)
+    path = store.table_path("models", "s2")
+    rows = pq.read_table(own_lake / "tables/models/s0.parquet")
+    rows = rows.set_column(0, rows.schema.field(0), pa.array([7] * rows.num_rows))
+    pq.write_table(rows, path)
+    with pytest.raises(CommitConflictError, match=r"small.* share the id 7"):
+        store.commit([store.register(path)], **META)
 
 
 def test_threads_lose_no_commit(tmp_path):
