@@ -21,6 +21,7 @@ from breplake.errors import (
 )
 from breplake.schema.lake import LakeStore
 from breplake.schema.snapshot import FileEntry, Snapshot
+from breplake.schema.storage import Storage
 
 META = {"message": "m", "tools": {}, "config_hash": "c"}
 
@@ -165,6 +166,20 @@ def test_threads_lose_no_commit(tmp_path):
         numbers = [number for result in pool.map(work, range(8)) for number in result]
     assert sorted(numbers) == list(range(1, 121))
     assert len(store.head().files) == 120
+
+
+def test_a_commit_whose_answer_was_lost(own_lake, monkeypatch):
+    """The store has the document, and says to the second try that one is there."""
+    store, other = LakeStore.open(own_lake), LakeStore.open(own_lake)
+    real = Storage.create
+    monkeypatch.setattr(Storage, "create", lambda *call: real(*call) and False)
+    made = store.commit([dummy("a")], **META)
+    monkeypatch.setattr(Storage, "create", real)
+    assert made == LakeStore.open(own_lake).head()
+    assert made.number == 3
+    with pytest.raises(CommitConflictError, match="in the lake already"):
+        other.commit([dummy("a")], **META)
+    assert not other.log.create(dataclasses.replace(made, message="of another"))
 
 
 def test_a_moved_lake_is_the_same(own_lake, tmp_path):
