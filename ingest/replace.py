@@ -10,13 +10,12 @@ from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from breplake.schema.copies import copy_files
 from breplake.schema.lake import LakeStore
 from breplake.schema.rewrite import Chosen, rewrite_shard
 from breplake.schema.shard_writer import fresh_name
-from breplake.schema.snapshot import FileEntry, Snapshot
+from breplake.schema.snapshot import FileEntry
 from breplake.schema.storage import Storage
 
 __all__ = ["remainder"]
@@ -49,8 +48,11 @@ def remainder(store: LakeStore, ids: Collection[int]) -> tuple[list[FileEntry], 
     def stays(models: pa.ChunkedArray) -> pa.ChunkedArray:
         return pc.invert(pc.is_in(models, value_set=gone))
 
-    for shard in _shards(store, head, set(ids)):
-        entries = [entry for entry in head.files if entry.shard == shard]
+    shards: dict[str, list[FileEntry]] = {shard: [] for shard in store.shards_of(head, ids)}
+    for entry in head.files:
+        if entry.shard in shards:
+            shards[entry.shard].append(entry)
+    for shard, entries in shards.items():
         digest = hashlib.sha256(f"{shard} without {sorted(ids)}".encode()).hexdigest()[:16]
         with _here(store, entries) as root:
             files += _rewritten(store, root, entries, digest, stays)
@@ -79,15 +81,3 @@ def _here(store: LakeStore, entries: list[FileEntry]) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(dir=store.desk.root) as folder:
         copy_files(store.storage, Storage(folder), entries)
         yield Path(folder)
-
-
-def _shards(store: LakeStore, head: Snapshot, ids: set[int]) -> list[str]:
-    """Return the shards in which a model or failure of `ids` is."""
-    found = set()
-    for name in ("models", "failures"):
-        for entry in head.table_files(name):
-            file = store.storage.reader(entry.path)
-            column = pq.read_table(file, columns=["model_id"])["model_id"]
-            if not ids.isdisjoint(column.to_pylist()):
-                found.add(entry.shard)
-    return sorted(found)

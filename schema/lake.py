@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import json
 import uuid
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from datetime import UTC, datetime
@@ -361,6 +361,19 @@ class LakeStore:
         raise CommitConflictError(
             f"lost {_ATTEMPTS} races for the next snapshot: commit again later"
         )
+
+    def shards_of(self, snapshot: Snapshot, ids: Collection[int]) -> list[str]:
+        """Return the sorted shards of a snapshot that have rows of some models, or their failures.
+
+        Parameters
+        ----------
+        snapshot : Snapshot
+            One of this lake. Ask of one after the other: files that the last call or `commit`
+            read are not read again.
+        ids : collection of int
+            The models.
+        """
+        return self._identities.shards(snapshot.files, ids)
 
     def tag(self, name: str, snapshot: int | Snapshot) -> None:
         """Name a snapshot for good; `gc` keeps what has a name.

@@ -107,11 +107,22 @@ class VersionLog:
         return last
 
     def create(self, snapshot: Snapshot) -> bool:
-        """Create a snapshot's document unless its number is taken; that is the commit."""
-        if not self._storage.create(snapshot_path(snapshot.number), snapshot.to_json()):
+        """Create a snapshot's document unless its number is taken; that is the commit.
+
+        A store may keep the document while its answer is lost, and say to the client's second
+        try that there is one: so it is read, and equal bytes are ours.
+        """
+        path, data = snapshot_path(snapshot.number), snapshot.to_json()
+        if not self._storage.create(path, data) and not self._is_there(path, data):
             return False
         self._last = snapshot
         return True
+
+    def _is_there(self, path: str, data: bytes) -> bool:
+        try:
+            return self._storage.size(path) == len(data) and self._storage.read(path) == data
+        except FileNotFoundError:
+            return False  # removed by a collection of garbage, which keeps the newest
 
     def remove(self, number: int) -> bytes:
         """Remove a snapshot's document and return it; `hint` must have been given before."""

@@ -30,7 +30,7 @@ from breplake.schema.shard_writer import write_table
 from breplake.schema.snapshot import ARRAYS_TABLE, FileEntry
 from breplake.schema.tables import MODELS, TABLES
 
-__all__ = ["main", "make_lake"]
+__all__ = ["main", "make_lake", "write_models"]
 
 _COLLECTION: Final = "synthetic"
 
@@ -40,14 +40,14 @@ def make_lake(path: Path, shards: int, models: int) -> LakeStore:
     store = LakeStore.create(path)
     entries: list[FileEntry] = []
     for shard in range(shards):
-        entry = _write_models(store, shard * models, models)
+        entry = write_models(store, shard * models, models)
         others = [table for table in (*TABLES, ARRAYS_TABLE) if table not in ("models", "failures")]
         entries += [entry, *(entry._replace(table=table) for table in others)]
     store.commit(entries, message="synthetic", tools={}, config_hash="c")
     return store
 
 
-def _write_models(store: LakeStore, first: int, count: int) -> FileEntry:
+def write_models(store: LakeStore, first: int, count: int) -> FileEntry:
     """Write a shard of models that are numbered from `first` on."""
     shard = hashlib.sha256(f"{first} {count}".encode()).hexdigest()[:16]
     named = sorted((model_id(_COLLECTION, f"m{i}"), f"m{i}") for i in range(first, first + count))
@@ -105,7 +105,7 @@ def _plan(path: Path) -> None:
 def _commit(path: Path) -> None:
     store, start = LakeStore.open(path), time.time_ns()
     for number, what in enumerate(("first commit of a process", "second commit", "third commit")):
-        entries = [_write_models(store, start + 500 * number, 500)]
+        entries = [write_models(store, start + 500 * number, 500)]
         _measured(
             what,
             lambda entries=entries: store.commit(entries, message="m", tools={}, config_hash="c"),  # type: ignore[misc]  # bound at once

@@ -8,6 +8,8 @@ import shutil
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from breplake.errors import (
@@ -19,6 +21,7 @@ from breplake.errors import (
 )
 from breplake.schema.lake import LakeStore
 from breplake.schema.snapshot import FileEntry, Snapshot
+from breplake.schema.storage import Storage
 
 META = {"message": "m", "tools": {}, "config_hash": "c"}
 
@@ -100,9 +103,6 @@ def test_register_reads_the_footer(tiny_lake):
 
 
 def test_register_refuses_what_is_no_file_of_a_lake(own_lake, tmp_path):
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     store = LakeStore.open(own_lake)
     for path in ("tables/models/../../x", "/etc/passwd", "breplake.json", "tables/nuts/a.parquet"):
         with pytest.raises(UsageError):
@@ -146,18 +146,14 @@ def test_a_file_is_added_once(own_lake):
         store.commit([dummy("a")], **META)
 
 
-def test_names_that_share_an_id_collide(own_lake, new_shard, monkeypatch):
+def test_names_that_share_an_id_collide(own_lake):
     store = LakeStore.open(own_lake)
-    import breplake.schema.identities as identities
-
-    new_shard(store, "s2", {"one": (1, 1, 1), "two": (1, 1, 1)})
-    entries = store.register_shard("s2")
-    real = identities._identities
-    monkeypatch.setattr(
-        identities, "_identities", lambda r, f: ((7, n, p) for _, n, p in real(r, f))
-    )
-    with pytest.raises(CommitConflictError, match="share the id 7"):
-        store.commit(entries, **META)
+    path = store.table_path("models", "s2")
+    rows = pq.read_table(own_lake / "tables/models/s0.parquet")
+    rows = rows.set_column(0, rows.schema.field(0), pa.array([7] * rows.num_rows))
+    pq.write_table(rows, path)
+    with pytest.raises(CommitConflictError, match=r"small.* share the id 7"):
+        store.commit([store.register(path)], **META)
 
 
 def test_threads_lose_no_commit(tmp_path):
@@ -170,6 +166,20 @@ def test_threads_lose_no_commit(tmp_path):
         numbers = [number for result in pool.map(work, range(8)) for number in result]
     assert sorted(numbers) == list(range(1, 121))
     assert len(store.head().files) == 120
+
+
+def test_a_commit_whose_answer_was_lost(own_lake, monkeypatch):
+    """The store has the document, and says to the second try that one is there."""
+    store, other = LakeStore.open(own_lake), LakeStore.open(own_lake)
+    real = Storage.create
+    monkeypatch.setattr(Storage, "create", lambda *call: real(*call) and False)
+    made = store.commit([dummy("a")], **META)
+    monkeypatch.setattr(Storage, "create", real)
+    assert made == LakeStore.open(own_lake).head()
+    assert made.number == 3
+    with pytest.raises(CommitConflictError, match="in the lake already"):
+        other.commit([dummy("a")], **META)
+    assert not other.log.create(dataclasses.replace(made, message="of another"))
 
 
 def test_a_moved_lake_is_the_same(own_lake, tmp_path):
