@@ -86,9 +86,13 @@ class RawArray:
 
         Raises
         ------
+        IndexError
+            If a row is not in the array.
         LakeFormatError
             If a file is missing or short.
         """
+        if len(rows) and not 0 <= rows.min() <= rows.max() < self.shape[0]:
+            raise IndexError(f"rows must be 0 to {self.shape[0] - 1}")
         size = self.shape[1]
         wanted = size if length is None else length
         out = np.empty((len(rows), wanted, *self.shape[2:]), self.dtype)

@@ -7,6 +7,7 @@ there under its name or nothing is.
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import os
 import re
@@ -22,7 +23,7 @@ import obstore
 from obstore.exceptions import AlreadyExistsError, BaseError
 from obstore.store import HTTPStore, LocalStore, from_url
 
-from breplake.errors import LakeNotFoundError, UsageError
+from breplake.errors import LakeNotFoundError, StorageError, UsageError
 from breplake.schema.ranges import Folder, LocalFolder, RangeReader, StoredFolder
 
 if TYPE_CHECKING:
@@ -44,6 +45,9 @@ PART: Final = ".part"
 """Ending of the name of a file that is being copied."""
 
 _STAGED: Final = re.compile(rf"(#\d+|{re.escape(PART)})$")  # obstore's local files end in #1
+
+_NO_LINKS: Final = (errno.EPERM, errno.ENOTSUP, errno.ENOSYS)
+"""What linking ends with on file systems that have no hard links, exFAT say."""
 
 _BLOCK: Final = 1 << 20
 """Bytes that are read at once."""
@@ -182,6 +186,13 @@ class Storage:
             os.link(staged, target)
         except FileExistsError:
             return False
+        except OSError as error:
+            if error.errno in _NO_LINKS and staged.exists():
+                raise StorageError(
+                    f"the file system of {target.parent} has no hard links, without which two "
+                    "writers could overwrite each other: put the lake on another one"
+                ) from error
+            raise
         finally:
             staged.unlink(missing_ok=True)
         _sync(target.parent)

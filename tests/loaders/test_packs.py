@@ -167,6 +167,12 @@ def test_lost_files_are_named(clouds, tmp_path):
         PackedClouds(made.path)
 
 
+@pytest.mark.parametrize("row", [80, -1])
+def test_rows_outside_are_no_fill_values(pack, small_files, row):
+    with pytest.raises(IndexError, match="0 to 79"):
+        RawArray(pack.path / "positions").take(np.array([3, row]))
+
+
 def test_pickle(pack):
     pack[0]
     copy = pickle.loads(pickle.dumps(pack))

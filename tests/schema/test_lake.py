@@ -247,3 +247,18 @@ def test_higher_versions_are_refused(own_lake):
     marker.write_text(marker.read_text().replace('"format_version": 1', '"format_version": 2'))
     with pytest.raises(LakeFormatError, match="format version 2"):
         LakeStore.open(own_lake)
+
+
+def test_a_disk_without_hard_links_is_told(tmp_path, monkeypatch):
+    import errno
+    import os
+
+    from breplake.errors import StorageError
+
+    def refuse(*_):
+        raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+    monkeypatch.setattr(os, "link", refuse)
+    with pytest.raises(StorageError, match="has no hard links"):
+        LakeStore.create(tmp_path / "lake")
+    assert not list((tmp_path / "lake").rglob("*#*"))
