@@ -30,6 +30,7 @@ from torch import Tensor
 from breplake.errors import LakeFormatError, UsageError
 from breplake.loaders.loader import Loader
 from breplake.loaders.points import PointCloudDataset
+from breplake.schema.buffers import Buffers
 from breplake.schema.raw_arrays import RawArray
 
 __all__ = ["FIELDS", "CloudBatch", "PackedClouds", "write_pack"]
@@ -197,6 +198,7 @@ class PackedClouds:
         self.model_ids: npt.NDArray[np.int64] = models.column("model_id").to_numpy()
         self._names = models.column("name").combine_chunks()
         self._runs: tuple[int, npt.NDArray[np.int64]] | None = None
+        self._buffers = Buffers()
 
     def __len__(self) -> int:
         return len(self.model_ids)
@@ -240,7 +242,7 @@ class PackedClouds:
             visit(int(indices[0]))
         starts = None if self.n == self.points else self._starts(epoch)[indices]
         values = {
-            name: torch.from_numpy(array.take(indices, starts, self.n))
+            name: torch.from_numpy(array.take(indices, starts, self.n, self._buffers))
             for name, array in self._arrays.items()
         }
         return CloudBatch(
