@@ -52,6 +52,7 @@ def test_what_is_let_go_is_given_again():
     buffers = Buffers()
     first = place(buffers.empty(SHAPE, KIND))
     assert place(buffers.empty(SHAPE, KIND)) == first
+    assert first % 64 == 0
     assert buffers.empty((4, 3), KIND).shape == (4, 3)
     assert buffers.empty(SHAPE, np.dtype(np.int8)).dtype == np.int8
 
