@@ -38,7 +38,8 @@ def test_a_revolved_ellipse(ingest_shape):
     """A torus with an ellipse for its tube: its perimeter times the way of its centre."""
     special = pytest.importorskip("scipy.special")
     ring = cq.Workplane("XZ").center(20, 0).ellipse(4, 1.5).revolve(360, (-20, 0), (-20, 1))
-    record = ingest_shape(ring.val(), max_edge=0.2)
+    # Gmsh all but hangs on it, and a hang of Gmsh ends the process: that of the tests.
+    record = ingest_shape(ring.val(), rung=2, max_edge=0.2)
     assert record.tables["patches"]["type"].to_pylist() == ["Revolution"]
     around = 4 * 4 * special.ellipe(1 - (1.5 / 4) ** 2)
     (area,) = record.column("patches", "area")
