@@ -144,6 +144,35 @@ class Processes(Generic[Key]):
             raise ValueError(f"{function.__qualname__} is in no module; import it from one")
         self._give(_Task(key, function, arguments))
 
+    def each(
+        self, function: Callable[..., Any], tasks: Iterable[tuple[Key, tuple[Any, ...]]]
+    ) -> Iterator[Ended[Key]]:
+        """Call a function for each of many tasks; yield them as they end.
+
+        Parameters
+        ----------
+        function : callable
+            What to call, as of `begin`.
+        tasks : iterable of tuple
+            Key and arguments of each, taken as there is room.
+
+        Raises
+        ------
+        KernelUnavailableError
+            If no process can start.
+        """
+        waiting = iter(tasks)
+        has_more = True
+        while has_more or self:
+            while has_more and self.has_room():
+                task = next(waiting, None)
+                if task is None:
+                    has_more = False
+                else:
+                    self.begin(task[0], function, *task[1])
+            self.wait()
+            yield from self.ended()
+
     def wait(self, also: Iterable[concurrent.futures.Future[Any]] = ()) -> None:
         """Wait until a task, or one of the futures `also`, ends; half a second at most."""
         waited = [*self._running, *also]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,6 +9,7 @@ from contextlib import contextmanager
 from breplake.errors import InputError
 from breplake.ingest.clock import StageClock
 from breplake.ingest.failure import CHANGED, advise
+from breplake.ingest.hashing import Hasher
 from breplake.ingest.inputs import Input
 
 __all__ = ["unchanged"]
@@ -39,7 +39,7 @@ def unchanged(item: Input, clock: StageClock) -> Iterator[None]:
         return
     with clock.stage(CHANGED[0]):
         before = _states(item)
-        if _sha256(item) != item.sha256:
+        if Hasher().digest(item.files).sha256 != item.sha256:
             raise _mismatch(item)
     try:
         yield
@@ -66,18 +66,6 @@ def _states(item: Input) -> list[tuple[int, int, int]]:
     except OSError as error:
         raise _unreadable(error) from error
     return [(state.st_size, state.st_mtime_ns, state.st_ino) for state in states]
-
-
-def _sha256(item: Input) -> str:
-    digest = hashlib.sha256()
-    try:
-        for path in item.files:
-            with path.open("rb") as file:
-                while block := file.read(2**20):
-                    digest.update(block)
-    except OSError as error:
-        raise _unreadable(error) from error
-    return digest.hexdigest()
 
 
 def _unreadable(error: OSError) -> InputError:

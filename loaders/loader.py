@@ -7,7 +7,7 @@ import os
 import re
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from typing import Any, Final, Protocol
 
 import numpy as np
@@ -144,6 +144,7 @@ class Loader:
         self.fixed_epoch = fixed_epoch
         self.set_epoch(fixed_epoch or 0)
         self._processes: DataLoader[Any] | None = None
+        self._readers: tuple[int, ThreadPoolExecutor] | None = None
         # (workers, 2) process and sample that each worker is at
         self._places = torch.full((max(workers, 1), 2), -1)
         self._places.share_memory_()  # type: ignore[no-untyped-call]  # torch does not annotate it
@@ -151,6 +152,10 @@ class Loader:
     def __len__(self) -> int:
         """Batches of a whole epoch on this rank."""
         return self.order.batches()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave processes and threads behind: a copy starts its own."""
+        return {**self.__dict__, "_processes": None, "_readers": None}
 
     def __repr__(self) -> str:
         return f"Loader({self.dataset!r}, {self.order}, workers={self.workers})"
@@ -246,16 +251,27 @@ class Loader:
             yield from (self._pinned(fetch(self.dataset, *key)) for key in keys)
             return
         waiting: deque[Future[Any]] = deque()
-        with ThreadPoolExecutor(self.threads, "breplake-loader") as pool:
-            try:
-                for key in keys:
-                    waiting.append(pool.submit(fetch, self.dataset, *key))
-                    if len(waiting) > self.prefetch:
-                        yield self._pinned(waiting.popleft().result())
-                while waiting:
+        pool = self._living_threads()
+        try:
+            for key in keys:
+                waiting.append(pool.submit(fetch, self.dataset, *key))
+                if len(waiting) > self.prefetch:
                     yield self._pinned(waiting.popleft().result())
-            finally:
-                pool.shutdown(wait=False, cancel_futures=True)
+            while waiting:
+                yield self._pinned(waiting.popleft().result())
+        finally:  # who leaves early may close the lake: nothing reads after this
+            wait([batch for batch in waiting if not batch.cancel()])
+
+    def _living_threads(self) -> ThreadPoolExecutor:
+        """Return the threads that read; they live on, as new ones would bring memory of their own.
+
+        A fork of this process has none of them.
+        """
+        pid, pool = self._readers or (0, None)
+        if pool is None or pid != os.getpid():
+            pool = ThreadPoolExecutor(self.threads, "breplake-loader")
+            self._readers = os.getpid(), pool
+        return pool
 
     def _by_processes(self, keys: list[_Key]) -> Iterator[Any]:
         """Yield batches, read by worker processes that live on from epoch to epoch."""

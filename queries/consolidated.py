@@ -93,21 +93,23 @@ def consolidate(
             except OSError as error:
                 raise StorageError(f"cannot write {path}: {error.strerror or error}") from error
         made.append(path)
-        _remove_outlived(lake, name)
+    _remove_outlived(lake, tables, made)
     return made
 
 
-def _remove_outlived(lake: Lake, table: str) -> None:
-    """Delete the copies of a table that fit no snapshot: sessions may read all others."""
+def _remove_outlived(lake: Lake, tables: Sequence[str], made: Sequence[Path]) -> None:
+    """Delete the copies of tables that fit no snapshot: sessions may read all others."""
     # copies are listed first, so that the snapshot of each is committed when snapshots are read
-    copies = set((lake.root / FOLDER).glob(f"{table}-*.parquet"))
-    for number in lake.store.numbers():
+    found = {copy for table in tables for copy in (lake.root / FOLDER).glob(f"{table}-*.parquet")}
+    outlived = found - set(made)
+    for number in lake.store.numbers() if outlived else ():
         try:
-            entries = lake.store.snapshot(number).table_files(table)
+            snapshot = lake.store.snapshot(number)
         except NameNotFoundError:  # collected meanwhile
             continue
-        copies.discard(consolidated_path(lake.root, table, entries))
-    for copy in copies:
+        for table in tables:
+            outlived.discard(consolidated_path(lake.root, table, snapshot.table_files(table)))
+    for copy in outlived:
         copy.unlink(missing_ok=True)
 
 

@@ -253,27 +253,23 @@ def models_of(
     from breplake.ingest.processes import Processes
 
     inputs = sorted((i for i in find_inputs([folder]) if i.sha256), key=lambda i: str(i.sha256))
-    in_order, waiting = list(inputs), inputs[::-1]
-    found: dict[str, dict[str, Errors]] = {}
-    done = 0
-    with Processes[str](jobs, 8.0, 1800.0, "this comparison") as processes:
-        while in_order and done < models:
-            while waiting and processes.has_room():
-                item = waiting.pop()
-                processes.begin(item.name, _model, item.path, item.format, per_patch)
-            processes.wait()
-            for ended in processes.ended():
-                found[ended.key] = {} if ended.killed else ended.value
-                if ended.killed or not ended.value:
-                    typer.echo(
-                        f"left out {ended.key}: {ended.killed or 'no patches can be read'}",
-                        err=True,
-                    )
-            while in_order and in_order[0].name in found and done < models:
-                name = in_order.pop(0).name
-                if found[name]:
+    tasks = ((i, (inputs[i].path, inputs[i].format, per_patch)) for i in range(len(inputs)))
+    found: dict[int, dict[str, Errors]] = {}
+    next_one = done = 0
+    with Processes[int](jobs, 8.0, 1800.0, "this comparison") as processes:
+        for ended in processes.each(_model, tasks):
+            found[ended.key] = {} if ended.killed else ended.value
+            if not found[ended.key]:
+                why = ended.killed or "no patches can be read"
+                typer.echo(f"left out {inputs[ended.key].name}: {why}", err=True)
+            while next_one in found:  # in order, however many are compared at a time
+                errors = found.pop(next_one)
+                if errors:
+                    yield inputs[next_one].name, errors
                     done += 1
-                    yield name, found[name]
+                    if done == models:
+                        return
+                next_one += 1
 
 
 def _model(path: Path, format: str, per_patch: int) -> dict[str, Errors]:

@@ -180,15 +180,11 @@ def _all(lake: breplake.Lake, models: int, points: int, jobs: int) -> Iterator[F
     from breplake.ingest.processes import Processes
 
     query = "SELECT model_id, name FROM models WHERE n_patches > 0 ORDER BY sha256 LIMIT ?"
-    waiting = lake.sql(query, [models]).fetchall()[::-1]
+    rows = lake.sql(query, [models]).fetchall()
+    tasks = ((name, (lake, model_id, points)) for model_id, name in rows)
     with Processes[str](jobs, 8.0, 900.0, "this proof") as processes:
-        while waiting or processes:
-            while waiting and processes.has_room():
-                model_id, name = waiting.pop()
-                processes.begin(name, judge, lake, model_id, points)
-            processes.wait()
-            for ended in processes.ended():
-                yield Found(ended.key, excuse=ended.killed) if ended.killed else ended.value
+        for ended in processes.each(judge, tasks):
+            yield Found(ended.key, excuse=ended.killed) if ended.killed else ended.value
 
 
 def main(

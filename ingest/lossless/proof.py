@@ -45,16 +45,13 @@ def compare_models(
     MissingExtraError, KernelUnavailableError
         If no worker can start.
     """
-    waiting = list(models.items())[::-1]
+    tasks = (
+        ((model_id, name), (lake, model_id, through_step)) for model_id, name in models.items()
+    )
     need = "breplake rebuild --compare"
     with Processes[tuple[int, str]](jobs, memory, timeout, need) as processes:
-        while waiting or processes:
-            while waiting and processes.has_room():
-                model_id, name = waiting.pop()
-                processes.begin((model_id, name), compare_model, lake, model_id, through_step)
-            processes.wait()
-            for ended in processes.ended():
-                yield _result(ended, timeout=timeout, memory=memory)
+        for ended in processes.each(compare_model, tasks):
+            yield _result(ended, timeout=timeout, memory=memory)
 
 
 def _result(ended: Ended[tuple[int, str]], *, timeout: float, memory: float) -> Comparison:

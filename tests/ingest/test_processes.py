@@ -17,12 +17,7 @@ from breplake.ingest.processes import Ended, Processes
 def run(keys, function=str, *, timeout=60.0, memory=2.0):
     """Begin a task for each key and return how they ended, in order of keys."""
     with Processes(1, memory, timeout, "test") as pool:
-        for key in keys:
-            pool.begin(key, function, key)
-        ended = []
-        while pool:
-            pool.wait()
-            ended += pool.ended()
+        ended = list(pool.each(function, ((key, (key,)) for key in keys)))
     return sorted(ended, key=lambda one: one.key)
 
 
@@ -89,6 +84,27 @@ def test_a_process_that_exits_is_told_from_one_that_returns():
 def test_time_and_memory_are_limited():
     assert run([60], time.sleep, timeout=0.5) == [Ended(60, killed="time")]
     assert run([2**31], bytearray, memory=1.0) == [Ended(2**31, killed="memory")]
+
+
+def test_tasks_are_taken_as_there_is_room():
+    """A million need not be listed first."""
+    taken = []
+
+    def tasks():
+        for key in range(1000):
+            taken.append(key)
+            yield key, (key,)
+
+    with Processes(1, 2.0, 60.0, "test") as pool:
+        first = next(pool.each(str, tasks()))
+    assert first == Ended(0, "0")
+    assert len(taken) < 10
+
+
+def test_a_function_of_the_script_is_refused(monkeypatch):
+    monkeypatch.setattr(Pool, "__module__", "__main__")
+    with pytest.raises(ValueError, match="Pool is in no module"):
+        run("a", Pool)
 
 
 def test_what_a_task_raises_is_raised():

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import gc
 import os
+import pickle
 import signal
+import threading
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -351,6 +354,23 @@ def test_an_epoch_can_be_fixed(clouds, options):
     for change in (lambda: loader.set_epoch(1), lambda: loader.load_state_dict(other.state_dict())):
         with pytest.raises(UsageError, match="every iteration is epoch 2"):
             change()
+
+
+def test_threads_live_on_and_a_copy_starts_its_own(clouds):
+    loader, expected = Loader(clouds, 5, fixed_epoch=0), epoch(Loader(clouds, 5, threads=0))
+    for _ in range(3):
+        next(iter(loader))  # who leaves early leaves nothing running
+        assert epoch(loader) == expected
+    assert epoch(pickle.loads(pickle.dumps(loader))) == expected
+    names = [thread.name for thread in threading.enumerate()]
+    assert len([name for name in names if name.startswith("breplake-loader")]) <= 4
+    fork = get_context("fork")
+    answers = fork.SimpleQueue()
+    child = fork.Process(target=lambda: answers.put(epoch(loader) == expected))
+    child.start()  # threads do not come along
+    child.join(60)
+    assert child.exitcode == 0
+    assert answers.get()
 
 
 def test_mistakes(clouds):
