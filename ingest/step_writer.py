@@ -109,6 +109,8 @@ def _paint(writer: Any, paints: Sequence[Paint]) -> None:
     styles = STEPConstruct_Styles(writer.ChangeWriter().WS())
     for paint in paints:
         item = STEPConstruct.FindEntity_s(styles.FinderProcess(), paint.item)
+        if item is None:  # a broken face, which the kernel did not write
+            continue
         if paint.name:
             item.SetName(TCollection_HAsciiString(paint.name))
         if paint.colour is None:

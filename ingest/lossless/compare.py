@@ -15,9 +15,10 @@ from breplake.errors import BreplakeError
 from breplake.ingest.canonical import canonical
 from breplake.ingest.heal import add_missing_pcurves
 from breplake.ingest.load import load
+from breplake.ingest.lossless.carried import CARRIED
 from breplake.ingest.lossless.graph import ShapeGraph
 from breplake.ingest.lossless.rebuild import ModelTables, rebuilt_shapes
-from breplake.ingest.lossless.through_step import CARRIED, step_differences
+from breplake.ingest.lossless.step_proof import step_differences
 from breplake.ingest.unpack import unpacked
 from breplake.schema.shape_tables import SHAPE_TABLES
 
@@ -43,7 +44,10 @@ _PLURALS: Final = {"vertex": "vertices"}
 VERDICTS: Final = {
     "equal": "volume, area, counts and validity are those of the source",
     "different": "something differs",
-    "step-differs": "as equal, but a STEP file made of the tables is ingested to others",
+    "step-loses": "as equal; a STEP file made of the tables is ingested to others, and so is one "
+    "made of the source's own shapes: the kernel's STEP does not carry what differs",
+    "step-differs": "as equal, but a STEP file made of the tables is ingested to others than one "
+    "made of the source's own shapes",
     "no-source": "the CAD file is not where it was, or is another by now",
     "no-shapes": "the lake has no shapes of the model",
     "failed": "the model could not be rebuilt or its source not be read",
@@ -193,7 +197,7 @@ def _compare(lake: ModelTables, model: dict[str, Any], result: Comparison) -> No
     result.is_exact = all(again[name].equals(table) for name, table in tables.items())
     result.rebuilt = measure(rebuilt)
     with tempfile.TemporaryDirectory() as folder:
-        result.source = measure(_source(path, model["format"], Path(folder)))
+        result.source = measure(_source(path, model["format"], Path(folder))[0])
     result.reasons = differences(result.source, result.rebuilt)
     result.verdict = "different" if result.reasons else "equal"
 
@@ -201,9 +205,16 @@ def _compare(lake: ModelTables, model: dict[str, Any], result: Comparison) -> No
 def _compare_through_step(lake: ModelTables, model: dict[str, Any], result: Comparison) -> None:
     names = {*CARRIED, *(table.name for table in SHAPE_TABLES)}
     tables = {name: lake.read(name, model["model_id"]) for name in names}
-    result.reasons = step_differences(tables, model["scale_to_mm"], Path(model["name"]).name)
+
+    def source() -> Any:
+        with tempfile.TemporaryDirectory() as folder:
+            return _source(Path(model["path"]), model["format"], Path(folder))[1]
+
+    result.reasons, is_own = step_differences(
+        tables, model["scale_to_mm"], Path(model["name"]).name, source
+    )
     if result.reasons:
-        result.verdict = "step-differs"
+        result.verdict = "step-loses" if is_own else "step-differs"
 
 
 def differences(source: Measures, rebuilt: Measures, tolerance: float = TOLERANCE) -> list[str]:
@@ -235,19 +246,20 @@ def differences(source: Measures, rebuilt: Measures, tolerance: float = TOLERANC
     return found
 
 
-def _source(path: Path, format: str, folder: Path) -> Any:
-    """Return the shapes of a CAD file as they are, in one compound."""
+def _source(path: Path, format: str, folder: Path) -> tuple[Any, Any]:
+    """Return the shapes of a CAD file in one compound as they are, and in canonical order."""
     from OCP.BRep import BRep_Builder
     from OCP.TopoDS import TopoDS_Compound
 
     document = load(unpacked(path, format, folder), format)
     # The repair works on the shapes themselves, which both compounds share.
-    add_missing_pcurves(canonical(document.shapes).compound)
+    ordered = canonical(document.shapes).compound
+    add_missing_pcurves(ordered)
     builder, compound = BRep_Builder(), TopoDS_Compound()
     builder.MakeCompound(compound)
     for shape in document.shapes:
         builder.Add(compound, shape)
-    return compound
+    return compound, ordered
 
 
 def _changed(path: Path, sha256: str) -> str | None:

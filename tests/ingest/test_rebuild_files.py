@@ -13,22 +13,26 @@ import cadquery as cq
 from OCP.BinTools import BinTools
 from OCP.BRep import BRep_Builder
 from OCP.gp import gp_Ax2, gp_Dir, gp_Pnt, gp_Trsf, gp_Vec
+from OCP.Quantity import Quantity_Color, Quantity_TypeOfColor
 from OCP.TopLoc import TopLoc_Location
 from OCP.TopoDS import TopoDS_Compound, TopoDS_Shape
+from OCP.XCAFDoc import XCAFDoc_DocumentTool
 
 from breplake.errors import NameNotFoundError, UsageError
 from breplake.ingest.brep import extract
 from breplake.ingest.canonical import canonical
 from breplake.ingest.heal import add_missing_pcurves
 from breplake.ingest.load import load
+from breplake.ingest.lossless.carried import table_differences
 from breplake.ingest.lossless.compare import differences, measure
 from breplake.ingest.lossless.files import write_model
 from breplake.ingest.lossless.graph import ShapeGraph
 from breplake.ingest.lossless.rebuild import rebuilt_shapes
 from breplake.ingest.lossless.step_out import write_step
-from breplake.ingest.lossless.through_step import table_differences
+from breplake.ingest.lossless.step_proof import step_differences
 from breplake.ingest.rows import brep_tables
 from breplake.ingest.samples import write_samples
+from breplake.ingest.step_writer import Paint, new_document, set_name, write_document
 
 
 def ingested(path, format="step"):
@@ -237,6 +241,40 @@ def test_what_step_loses_is_said(sample_lake, tmp_path):
     losses = write_model(Lake(), "float", tmp_path / "float.step")
     assert losses[0].startswith("volume is")
     assert write_model(Lake(), "float", tmp_path / "float.brep") == []
+
+
+def test_the_source_written_alike_tells_whose_loss_it_is(tmp_path):
+    path, other = write_samples(tmp_path, ["float_ellipsoid", "ball_steel"])
+    tables, scale = ingested(path)
+
+    def shapes(path):
+        found = canonical(load(path, "step").shapes).compound
+        add_missing_pcurves(found)
+        return found
+
+    def never():
+        raise AssertionError("nothing differs")
+
+    losses, is_own = step_differences(tables, scale, "float", lambda: shapes(path))
+    assert losses
+    assert is_own
+    # what differs from the source is not excused
+    assert step_differences(tables, scale, "float", lambda: shapes(other)) == (losses, False)
+    assert step_differences(ingested(other)[0], scale, "ball", never) == ([], True)
+
+
+def test_what_the_kernel_does_not_write_is_not_painted(tmp_path):
+    box, elsewhere = (cq.Workplane().box(1, 1, 1).val() for _ in range(2))
+    document = new_document()
+    tool = XCAFDoc_DocumentTool.ShapeTool_s(document.Main())
+    set_name(tool.AddShape(box.wrapped, False), "box")
+    red = Quantity_Color(1, 0, 0, Quantity_TypeOfColor.Quantity_TOC_sRGB)
+    faces = [box.Faces()[0].wrapped, elsewhere.Faces()[0].wrapped]
+    paints = [Paint(face, "painted", red, box.wrapped) for face in faces]
+    path = tmp_path / "box.step"
+    write_document(document, path, name="box", unit="MM", author="me", paints=paints)
+    assert path.read_text().count("'painted'") == 1
+    assert ingested(path)[0]["patches"].num_rows == 6
 
 
 def test_errors(sample_lake, tmp_path):

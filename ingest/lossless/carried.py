@@ -1,31 +1,22 @@
-"""A rebuilt model through a STEP file and back: what its tables say then."""
+"""What a STEP file carries of a model: its tables against those that the file is ingested to."""
 
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from breplake.ingest.brep import extract
-from breplake.ingest.canonical import canonical
-from breplake.ingest.heal import add_missing_pcurves
-from breplake.ingest.load import load
-from breplake.ingest.lossless.rebuild import rebuilt_shapes
-from breplake.ingest.lossless.step_out import write_step
-from breplake.ingest.rows import brep_tables
 from breplake.schema.contract import VEC3
 from breplake.schema.curves import CurveSet
 from breplake.schema.namespace import Floats, Ints
 from breplake.schema.periods import curve_periods, surface_periods
 from breplake.schema.surfaces import SurfaceSet
 
-__all__ = ["CARRIED", "LOST", "MEASURED", "step_differences", "table_differences"]
+__all__ = ["CARRIED", "LOST", "MEASURED", "table_differences"]
 
 CARRIED: Final = ("parts", "patches", "curves", "coedges", "corners")
 """Tables that a STEP file carries; the others hold how a model is stored, not what it is."""
@@ -56,41 +47,6 @@ MEASURED_LIMIT: Final = 1e-5
 
 _WEIGHTS: Final = np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0, 13.0])
 """By which what tells rows apart is added up: no simple sum of it is the same for two of them."""
-
-
-def step_differences(
-    tables: Mapping[str, pa.Table], scale_to_mm: float | None, name: str
-) -> list[str]:
-    """Write a model as STEP from its tables, ingest that, and say which columns differ.
-
-    Parameters
-    ----------
-    tables : mapping
-        All tables of the model by name, mesh and arrays aside.
-    scale_to_mm : float or None
-        Millimetres in the unit to write.
-    name : str
-        Name of the model.
-
-    Returns
-    -------
-    list of str
-        As of `table_differences`.
-
-    Raises
-    ------
-    LakeFormatError, InputError, OSError
-        If the model cannot be rebuilt, or the file not be written or read.
-    """
-    rows = {table: tables[table].to_pylist() for table in ("parts", "patches")}
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "again.step"
-        compound = rebuilt_shapes(tables)[0]
-        write_step(compound, path, name=name, scale_to_mm=scale_to_mm, **rows)
-        document = load(path, "step")
-    shapes = canonical(document.shapes)
-    add_missing_pcurves(shapes.compound)
-    return table_differences(tables, brep_tables(0, extract(shapes, document.labels)))
 
 
 def table_differences(before: Mapping[str, pa.Table], after: Mapping[str, pa.Table]) -> list[str]:
