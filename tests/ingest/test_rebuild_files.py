@@ -14,6 +14,7 @@ from OCP.BinTools import BinTools
 from OCP.BRep import BRep_Builder
 from OCP.gp import gp_Ax2, gp_Dir, gp_Pnt, gp_Trsf, gp_Vec
 from OCP.Quantity import Quantity_Color, Quantity_TypeOfColor
+from OCP.ShapeCustom import ShapeCustom
 from OCP.TopLoc import TopLoc_Location
 from OCP.TopoDS import TopoDS_Compound, TopoDS_Shape
 from OCP.XCAFDoc import XCAFDoc_DocumentTool
@@ -264,7 +265,8 @@ def test_the_source_written_alike_tells_whose_loss_it_is(tmp_path):
 
 
 def test_what_the_kernel_does_not_write_is_not_painted(tmp_path):
-    box, elsewhere = (cq.Workplane().box(1, 1, 1).val() for _ in range(2))
+    right_handed = ShapeCustom.DirectFaces_s(cq.Workplane().box(1, 1, 1).val().wrapped)
+    box, elsewhere = (cq.Shape.cast(right_handed).copy() for _ in range(2))
     document = new_document()
     tool = XCAFDoc_DocumentTool.ShapeTool_s(document.Main())
     set_name(tool.AddShape(box.wrapped, False), "box")
