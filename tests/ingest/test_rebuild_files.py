@@ -15,13 +15,14 @@ from OCP.BRep import BRep_Builder
 from OCP.gp import gp_Ax2, gp_Dir, gp_Pnt, gp_Trsf, gp_Vec
 from OCP.Quantity import Quantity_Color, Quantity_TypeOfColor
 from OCP.ShapeCustom import ShapeCustom
+from OCP.TopAbs import TopAbs_ShapeEnum
 from OCP.TopLoc import TopLoc_Location
 from OCP.TopoDS import TopoDS_Compound, TopoDS_Shape
 from OCP.XCAFDoc import XCAFDoc_DocumentTool
 
 from breplake.errors import NameNotFoundError, UsageError
 from breplake.ingest.brep import extract
-from breplake.ingest.canonical import canonical
+from breplake.ingest.canonical import canonical, explore
 from breplake.ingest.heal import add_missing_pcurves
 from breplake.ingest.load import load
 from breplake.ingest.lossless.carried import table_differences
@@ -265,14 +266,14 @@ def test_the_source_written_alike_tells_whose_loss_it_is(tmp_path):
 
 
 def test_what_the_kernel_does_not_write_is_not_painted(tmp_path):
-    right_handed = ShapeCustom.DirectFaces_s(cq.Workplane().box(1, 1, 1).val().wrapped)
-    box, elsewhere = (cq.Shape.cast(right_handed).copy() for _ in range(2))
+    made = (cq.Workplane().box(1, 1, 1).val().wrapped for _ in range(2))
+    box, elsewhere = (ShapeCustom.DirectFaces_s(s.Located(TopLoc_Location())) for s in made)
     document = new_document()
     tool = XCAFDoc_DocumentTool.ShapeTool_s(document.Main())
-    set_name(tool.AddShape(box.wrapped, False), "box")
+    set_name(tool.AddShape(box, False), "box")
     red = Quantity_Color(1, 0, 0, Quantity_TypeOfColor.Quantity_TOC_sRGB)
-    faces = [box.Faces()[0].wrapped, elsewhere.Faces()[0].wrapped]
-    paints = [Paint(face, "painted", red, box.wrapped) for face in faces]
+    faces = [next(explore(shape, TopAbs_ShapeEnum.TopAbs_FACE)) for shape in (box, elsewhere)]
+    paints = [Paint(face, "painted", red, box) for face in faces]
     path = tmp_path / "box.step"
     write_document(document, path, name="box", unit="MM", author="me", paints=paints)
     assert path.read_text().count("'painted'") == 1
