@@ -366,8 +366,10 @@ def _patch_row(patch_id: int, face: Any, part_id: int) -> Row:
 
 def _coedges(canonical: Canonical, graph: ShapeGraph, patch_id: int, face: Any) -> list[Coedge]:
     """Return a patch's coedges, outer loop first, each loop in the patch's orientation."""
+    from OCP.BRep import BRep_Tool
     from OCP.BRepTools import BRepTools
     from OCP.TopAbs import TopAbs_Orientation, TopAbs_ShapeEnum
+    from OCP.TopLoc import TopLoc_Location
     from OCP.TopoDS import TopoDS
 
     flipped = face.Orientation() == TopAbs_Orientation.TopAbs_REVERSED
@@ -375,6 +377,8 @@ def _coedges(canonical: Canonical, graph: ShapeGraph, patch_id: int, face: Any) 
     wires = list(explore(forward, TopAbs_ShapeEnum.TopAbs_WIRE))
     outer = BRepTools.OuterWire_s(forward)
     wires.sort(key=lambda wire: not wire.IsSame(outer))
+    location = TopLoc_Location()
+    surface = BRep_Tool.Surface_s(forward, location)
     found = []
     for loop, wire in enumerate(wires):
         edges = _ordered_edges(TopoDS.Wire_s(wire), forward)
@@ -386,7 +390,7 @@ def _coedges(canonical: Canonical, graph: ShapeGraph, patch_id: int, face: Any) 
                 TopAbs_Orientation.TopAbs_EXTERNAL,
             )
             curve_id = canonical.edges.FindIndex(edge) - 1
-            pcurve = graph.pcurve(edge, forward)
+            pcurve = graph.pcurve(edge, surface, location)
             found.append(
                 Coedge(patch_id, loop, place, curve_id, backward != flipped, internal, pcurve)
             )

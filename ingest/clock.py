@@ -12,7 +12,7 @@ __all__ = ["KERNEL", "KernelClock", "StageClock", "peak_memory"]
 
 
 class KernelClock:
-    """Adds up the CPU time of calls into the CAD and meshing kernels.
+    """Adds up the CPU time of calls into the CAD and meshing kernels, through their bindings.
 
     A worker handles one model in one thread, so one clock per process is enough.
     """
@@ -20,18 +20,23 @@ class KernelClock:
     def __init__(self) -> None:
         self.seconds = 0.0
         self._depth = 0
+        self._start = 0.0
 
-    @contextmanager
-    def __call__(self) -> Iterator[None]:
-        """Count the block; nested blocks count once."""
+    def __call__(self) -> KernelClock:
+        """Return what counts a block; nested blocks count once."""
+        return self
+
+    def __enter__(self) -> None:
+        """Begin a block."""
+        if not self._depth:
+            self._start = time.process_time()
         self._depth += 1
-        start = time.process_time()
-        try:
-            yield
-        finally:
-            self._depth -= 1
-            if not self._depth:
-                self.seconds += time.process_time() - start
+
+    def __exit__(self, *_: object) -> None:
+        """End a block."""
+        self._depth -= 1
+        if not self._depth:
+            self.seconds += time.process_time() - self._start
 
 
 KERNEL = KernelClock()

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["CurveNodes", "Mesh", "edge_lengths", "unique_edges"]
+__all__ = ["CurveNodes", "Mesh", "edge_lengths", "lengths_of", "unique_edges"]
+
+_BITS: Final = 32
+"""Bits of a vertex id in the key of an edge."""
 
 _Floats = npt.NDArray[np.float64]
 _Ints = npt.NDArray[np.int64]
@@ -64,21 +68,29 @@ class Mesh:
     def pairs(self, patch: _Ints, vertex: _Ints) -> _Ints:
         """Return the index of each pair (patch, vertex), which must exist."""
         span = len(self.points)
+        only = np.empty(span, dtype=np.int64)  # index of a vertex' pair, if it is one alone
+        only[self.pair_vertex] = np.arange(len(self.pair_vertex))
+        found = only.take(vertex)
+        several = np.flatnonzero((np.bincount(self.pair_vertex, minlength=span) > 1).take(vertex))
         keys = self.pair_patch * span + self.pair_vertex
-        return np.searchsorted(keys, patch * span + vertex)
+        found[several] = np.searchsorted(keys, patch[several] * span + vertex[several])
+        return found
 
     def with_used_pairs(self) -> Mesh:
         """Return the mesh with just the pairs that some triangle uses, in ascending order."""
-        span = len(self.points)
-        keys = self.pair_patch * span + self.pair_vertex
-        used = np.unique(np.repeat(self.patch, 3) * span + self.triangles.ravel())
-        order = np.argsort(keys, kind="stable")
-        rows = order[np.searchsorted(keys[order], used)]
+        order = np.argsort(self.pair_patch * len(self.points) + self.pair_vertex, kind="stable")
+        mesh = self._with_pairs(order)
+        used = np.zeros(len(order), dtype=bool)
+        for corner in self.triangles.T:
+            used[mesh.pairs(self.patch, corner)] = True
+        return mesh._with_pairs(np.flatnonzero(used))
+
+    def _with_pairs(self, rows: _Ints) -> Mesh:
         return replace(
             self,
             pair_patch=self.pair_patch[rows],
             pair_vertex=self.pair_vertex[rows],
-            uv=self.uv[rows],
+            uv=self.uv.take(rows, 0),
         )
 
     def curve_of_vertex(self) -> _Ints:
@@ -107,15 +119,21 @@ def unique_edges(triangles: _Ints) -> tuple[_Ints, _Ints, _Ints]:
     count : numpy.ndarray
         ``(e,)`` number of triangles at each edge.
     """
-    sides = np.stack([triangles, np.roll(triangles, -1, axis=1)], axis=2).reshape(-1, 2)
-    low, high = sides.min(axis=1), sides.max(axis=1)
-    span = int(high.max(initial=0)) + 1
-    keys, inverse, count = np.unique(low * span + high, return_inverse=True, return_counts=True)
-    edges = np.column_stack([keys // span, keys % span])
+    first, second = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()
+    keys = np.minimum(first, second) << _BITS | np.maximum(first, second)
+    unique, inverse, count = np.unique(keys, return_inverse=True, return_counts=True)
+    edges = np.column_stack([unique >> _BITS, unique & (1 << _BITS) - 1])
     return edges, inverse.reshape(-1, 3), count
 
 
 def edge_lengths(points: _Floats, edges: _Ints) -> _Floats:
     """Return the lengths ``(e,)`` mm of edges ``(e, 2)``."""
-    lengths: _Floats = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+    lengths: _Floats = lengths_of(points.take(edges[:, 0], 0) - points.take(edges[:, 1], 0))
+    return lengths
+
+
+def lengths_of(vectors: _Floats) -> _Floats:
+    """Return the lengths ``(n,)`` of vectors ``(n, 3)``, in a fifth of the time of NumPy's norm."""
+    x, y, z = vectors.T
+    lengths: _Floats = np.sqrt(x * x + y * y + z * z)
     return lengths

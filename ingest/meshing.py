@@ -89,7 +89,8 @@ class _Extract:
         self.brep: Brep = model.brep
         self.model = model
         self.api: Any = model.gmsh.model.mesh
-        tags, points, _ = self.api.getNodes()
+        with KERNEL():
+            tags, points, _ = self.api.getNodes()
         self.top = int(max(tags, default=0))
         self.points = np.empty((self.top + 1, 3))  # by node tag
         self.points[np.asarray(tags, dtype=np.int64)] = np.reshape(points, (-1, 3))
@@ -115,7 +116,8 @@ class _Extract:
     def _triangles(self) -> tuple[_Ints, _Ints]:
         blocks, owners = [], []
         for patch_id, row in enumerate(self.brep.patches):
-            types, _, nodes = self.api.getElements(2, patch_id + 1)
+            with KERNEL():
+                types, _, nodes = self.api.getElements(2, patch_id + 1)
             if list(types) != [2] or not len(nodes[0]):
                 self.brep.require_no_area(row)
                 continue
@@ -133,18 +135,22 @@ class _Extract:
         self.corner_nodes: list[int] = []
         parts: list[_Ints] = []
         for corner_id in range(len(self.brep.vertices)):
-            tags = self.api.getNodes(0, corner_id + 1)[0]
+            with KERNEL():
+                tags = self.api.getNodes(0, corner_id + 1)[0]
             self.corner_nodes.append(int(tags[0]) if len(tags) else -1)
         parts.append(np.array([n for n in self.corner_nodes if n >= 0], dtype=np.int64))
         self.curve_data: dict[int, tuple[_Ints, _Floats]] = {}
         for curve_id in self.model.curve_ids:
-            tags, _, t = self.api.getNodes(1, self.model.curve_tag[curve_id])
+            with KERNEL():
+                tags, _, t = self.api.getNodes(1, self.model.curve_tag[curve_id])
             tags, t = np.asarray(tags, dtype=np.int64), np.asarray(t, dtype=np.float64)
             along = np.argsort(t, kind="stable")
             self.curve_data[curve_id] = tags[along], t[along]
             parts.append(tags[along])
         for patch_id in range(len(self.brep.faces)):
-            parts.append(np.sort(np.asarray(self.api.getNodes(2, patch_id + 1)[0], dtype=np.int64)))
+            with KERNEL():
+                tags = self.api.getNodes(2, patch_id + 1)[0]
+            parts.append(np.sort(np.asarray(tags, dtype=np.int64)))
         order = np.concatenate(parts)
         return order[used[order]]
 
@@ -159,12 +165,11 @@ class _Extract:
                 self.corner_nodes[row[key]] if row[key] is not None else -1
                 for key in ("start_corner", "end_corner")
             ]
-            start = [] if ends[0] < 0 else [ends[0]]
-            end = [] if ends[1] < 0 else [ends[1]]
-            vertices = number[np.array([*start, *tags, *end], dtype=np.int64)]
-            values = [*([row["t_min"]] * len(start)), *t, *([row["t_max"]] * len(end))]
+            there = np.array([ends[0] >= 0, *[True] * len(tags), ends[1] >= 0])
+            vertices = number[np.concatenate([ends[:1], tags, ends[1:]])[there]]
+            values = np.concatenate([[row["t_min"]], t, [row["t_max"]]])[there]
             if (vertices >= 0).all():
-                curves[curve_id] = CurveNodes(vertices, np.array(values))
+                curves[curve_id] = CurveNodes(vertices, values)
         return curves
 
     def _pairs(self, number: _Ints) -> tuple[_Ints, _Ints, _Floats]:

@@ -52,9 +52,13 @@ def _angles(
     points: npt.NDArray[np.float64], triangles: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.float64]:
     """Return the angles ``(f, 3)`` rad of triangles; 0 where two vertices coincide."""
-    corner = points[triangles]  # (f, 3, 3)
-    to_next = np.roll(corner, -1, axis=1) - corner
-    to_last = np.roll(corner, 1, axis=1) - corner
-    cross = np.linalg.norm(np.cross(to_next, to_last), axis=2)
-    angles: npt.NDArray[np.float64] = np.arctan2(cross, np.einsum("fij,fij->fi", to_next, to_last))
+    a, b, c = (points.take(triangles[:, i], 0).T for i in range(3))  # (3, f) each
+    sides = b - a, c - b, a - c
+    (ux, uy, uz), (vx, vy, vz) = sides[:2]
+    # twice the area, which all three angles share
+    area = np.sqrt((uy * vz - uz * vy) ** 2 + (uz * vx - ux * vz) ** 2 + (ux * vy - uy * vx) ** 2)
+    angles = np.empty((len(triangles), 3))
+    for corner in range(3):
+        x, y, z = sides[corner - 1] * sides[corner]  # they meet there head to tail
+        angles[:, corner] = np.arctan2(area, -(x + y + z))
     return angles

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from breplake.ingest.brep import Brep
-from breplake.ingest.mesh import CurveNodes, Mesh, edge_lengths, unique_edges
+from breplake.ingest.mesh import CurveNodes, Mesh, edge_lengths, lengths_of, unique_edges
 from breplake.schema.jets import SurfaceJet
 from breplake.schema.projection import project_points
 
@@ -201,7 +201,7 @@ class _Split:
         There the file's curve and surface disagree, and splitting would never end.
         """
         middle = self.old.points[self.ends].mean(axis=1)
-        off = np.linalg.norm(self.points - middle, axis=1)
+        off = lengths_of(self.points - middle)
         length = edge_lengths(self.old.points, self.ends)
         found: _Ints = self.ends[~(off <= 0.5 * length)]
         return found
@@ -216,11 +216,13 @@ class _Split:
             at = np.searchsorted(keys, wanted).clip(max=self.count - 1)
             # Two curves may share a short edge's ends; the first one owns its vertex.
             hit = np.flatnonzero((keys[at] == wanted) & (self.on_curve[at] < 0))
+            if not len(hit):
+                self.curves[curve_id] = nodes
+                continue
             rows = at[hit]
             t = (nodes.t[hit] + nodes.t[hit + 1]) / 2
-            if len(hit):
-                self.on_curve[rows] = curve_id
-                self.points[rows] = self.geometry.curve_points(curve_id, t)
+            self.on_curve[rows] = curve_id
+            self.points[rows] = self.geometry.curve_points(curve_id, t)
             self.curves[curve_id] = CurveNodes(
                 np.insert(nodes.vertices, hit + 1, rows + span), np.insert(nodes.t, hit + 1, t)
             )
@@ -229,8 +231,9 @@ class _Split:
         """Return patch and index of every new vertex on every patch around it."""
         edge = self.index[self.of_triangle]  # (f, 3)
         owner = np.broadcast_to(self.old.patch[:, None], edge.shape)
-        found = np.unique(np.column_stack([owner[edge >= 0], edge[edge >= 0]]), axis=0)
-        return found[:, 0], found[:, 1]
+        found = np.unique(owner[edge >= 0] * self.count + edge[edge >= 0])
+        patch, fresh = np.divmod(found, self.count)
+        return patch, fresh
 
     def _place_on_patches(self, patch: _Ints, fresh: _Ints) -> _Floats:
         """Return parameters ``(p, 2)`` of the pairs, and move inner vertices onto the patch."""
@@ -257,7 +260,7 @@ class _Split:
             # At a pole one parameter is arbitrary: only the other end knows the direction.
             for jet, other in zip(jets, (uv_b, uv_a), strict=True):
                 derivative = jet.dv if axis else jet.du
-                pole = np.linalg.norm(derivative, axis=1) <= jet.least[:, axis]
+                pole = lengths_of(derivative) <= jet.least[:, axis]
                 middle[pole, axis] = other[pole, axis]
         return middle
 
@@ -299,5 +302,4 @@ class _Split:
 
 
 def _lengths(points: _Floats, a: _Ints, b: _Ints) -> _Floats:
-    lengths: _Floats = np.linalg.norm(points[a] - points[b], axis=1)
-    return lengths
+    return lengths_of(points.take(a, 0) - points.take(b, 0))

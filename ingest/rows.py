@@ -101,9 +101,10 @@ def mesh_tables(
     """Return the tables that need the mesh, and ``curves`` and ``corners`` completed by it."""
     n, f = len(mesh.pair_vertex), len(mesh.triangles)
     vertex = mesh.pair_vertex
-    primary = np.zeros(n, dtype=bool)
-    primary[np.unique(vertex, return_index=True)[1]] = True
-    point = mesh.points[vertex]  # (m, 3)
+    first = np.empty(len(mesh.points), dtype=np.int64)
+    first[vertex[::-1]] = np.arange(n)[::-1]  # of a vertex' pairs the last to be set stays
+    primary = first[vertex] == np.arange(n)
+    point = mesh.points.take(vertex, 0)  # (m, 3)
     columns: dict[str, Any] = {
         "model_id": np.full(n, model_id),
         "normal_id": np.arange(n, dtype=np.int32),

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from breplake.ingest.clock import KERNEL
 from breplake.schema.surfaces import SurfaceSet
 
 __all__ = [
@@ -132,14 +133,9 @@ def measure(
     if not creases:
         return []
     patch = np.array([[crease.left, crease.right] for crease in creases])  # (e, 2)
-    uv = np.empty((len(creases), 2, SAMPLES, 2))
-    tangents = np.empty((len(creases), SAMPLES, 3))
-    for i, crease in enumerate(creases):
-        tangents[i], parameters = _tangents(crease.edge)
-        for j, patch_id in enumerate((crease.left, crease.right)):
-            uv[i, j] = _pcurve(crease.edge, faces[patch_id], parameters)
+    tangents, uv = _sampled(creases, faces)
     rows = np.repeat(patch.ravel(), SAMPLES)
-    u, v = uv.reshape(-1, 2).T
+    u, v = uv.T
     known = SurfaceSet.from_patches(patches)
     normals = known.evaluate(rows, u, v).normal()  # (e 2 s, 3)
     for k in np.flatnonzero(~known.known[rows] & np.isfinite(u)):
@@ -149,36 +145,37 @@ def measure(
     return dihedrals(normals[:, 0], normals[:, 1], tangents)
 
 
-def _tangents(edge: Any) -> tuple[_Floats, _Floats]:
-    """Return tangents ``(s, 3)`` and parameters ``(s,)`` of the samples of an edge."""
+def _sampled(creases: Sequence[Crease], faces: Sequence[Any]) -> tuple[_Floats, _Floats]:
+    """Return tangents ``(e, s, 3)`` and parameters ``(e 2 s, 2)`` on both patches.
+
+    Parameters are NaN where an edge has no pcurve.
+    """
     from OCP.BRep import BRep_Tool
     from OCP.BRepAdaptor import BRepAdaptor_Curve
-    from OCP.gp import gp_Pnt, gp_Vec
+    from OCP.gp import gp_Pnt, gp_Pnt2d, gp_Vec
 
-    t_min, t_max = BRep_Tool.Range_s(edge)
-    parameters = t_min + (np.arange(SAMPLES) + 0.5) / SAMPLES * (t_max - t_min)  # (s,)
-    curve, point, vector = BRepAdaptor_Curve(edge), gp_Pnt(), gp_Vec()
-    tangents = np.empty((SAMPLES, 3))
-    for i, t in enumerate(parameters):
-        curve.D1(t, point, vector)
-        tangents[i] = vector.X(), vector.Y(), vector.Z()
-    return tangents, parameters
-
-
-def _pcurve(edge: Any, face: Any, parameters: _Floats) -> _Floats:
-    """Return ``(s, 2)`` parameters on a face along an edge; NaN if it has no pcurve there."""
-    from OCP.BRep import BRep_Tool
-    from OCP.gp import gp_Pnt2d
-
-    # The adaptor would crash on a missing pcurve, so ask for the curve itself.
-    pcurve = BRep_Tool.CurveOnSurface_s(edge, face, 0.0, 0.0)
-    points = np.full((len(parameters), 2), np.nan)
-    if pcurve is not None:
-        point = gp_Pnt2d()
-        for i, t in enumerate(parameters):
-            pcurve.D0(t, point)
-            points[i] = point.X(), point.Y()
-    return points
+    place, tangent, parameters = gp_Pnt(), gp_Vec(), gp_Pnt2d()
+    tangents: list[tuple[float, float, float]] = []
+    uv: list[tuple[float, float]] = []
+    for crease in creases:
+        edge, on_both = crease.edge, (faces[crease.left], faces[crease.right])
+        with KERNEL():
+            t_min, t_max = BRep_Tool.Range_s(edge)
+            samples = [t_min + (i + 0.5) / SAMPLES * (t_max - t_min) for i in range(SAMPLES)]
+            curve = BRepAdaptor_Curve(edge)
+            for t in samples:
+                curve.D1(t, place, tangent)
+                tangents.append((tangent.X(), tangent.Y(), tangent.Z()))
+            for face in on_both:
+                # The adaptor would crash on a missing pcurve, so ask for the curve itself.
+                pcurve = BRep_Tool.CurveOnSurface_s(edge, face, 0.0, 0.0)
+                if pcurve is None:
+                    uv += [(math.nan, math.nan)] * SAMPLES
+                    continue
+                for t in samples:
+                    pcurve.D0(t, parameters)
+                    uv.append((parameters.X(), parameters.Y()))
+    return np.array(tangents).reshape(-1, SAMPLES, 3), np.array(uv)
 
 
 def _kernel_normal(surface: Any, u: float, v: float) -> _Floats:

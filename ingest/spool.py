@@ -33,6 +33,9 @@ HANG_EXIT: Final = 75
 _MODEL: Final = "model.json"
 _GRIDS: Final = "grids"
 
+_LARGE: Final = 1 << 20
+"""Bytes from which on a table is worth compressing for the time until its shard is written."""
+
 
 @dataclass(frozen=True, slots=True)
 class Spool:
@@ -126,7 +129,8 @@ class Spool:
         folder = self.folder / level
         folder.mkdir(exist_ok=True)
         for name, table in tables.items():
-            pa.feather.write_feather(table, folder / f"{name}.arrow", compression="lz4")
+            compression = "lz4" if table.nbytes >= _LARGE else "uncompressed"
+            pa.feather.write_feather(table, folder / f"{name}.arrow", compression=compression)
         partial = folder / "model.partial"
         partial.write_text(json.dumps(row()))
         os.replace(partial, folder / _MODEL)

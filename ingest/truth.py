@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from breplake.ingest.mesh import Mesh
+from breplake.ingest.mesh import Mesh, lengths_of
 from breplake.ingest.refine import Geometry, Periods
 from breplake.schema.jets import PrincipalCurvature
 from breplake.schema.projection import project_points
@@ -62,10 +62,10 @@ def derive(
     diagonal : float
         Of the model, mm.
     """
-    patch, target = mesh.pair_patch, mesh.points[mesh.pair_vertex]
+    patch, target = mesh.pair_patch, mesh.points.take(mesh.pair_vertex, 0)
     # Gmsh goes on past the seam of closed surfaces that are not periodic.
     uv = periods.inside(patch, mesh.uv)
-    residual = np.linalg.norm(geometry.jet(patch, uv[:, 0], uv[:, 1]).point - target, axis=1)
+    residual = lengths_of(geometry.jet(patch, uv[:, 0], uv[:, 1]).point - target)
     off = np.flatnonzero(~(residual <= EXACT * diagonal))
     if len(off):
         u, v, _ = project_points(
@@ -78,7 +78,7 @@ def derive(
         )
         uv[off] = np.column_stack([u, v])
     jet = geometry.jet(patch, uv[:, 0], uv[:, 1])
-    residual = np.linalg.norm(jet.point - target, axis=1)
+    residual = lengths_of(jet.point - target)
     sign = np.where(flipped[patch], -1.0, 1.0)[:, None]
     normal = jet.normal() * sign
     return replace(mesh, uv=uv), Truth(normal, jet.curvature(normal), residual)
@@ -94,12 +94,15 @@ def wind(mesh: Mesh, truth: Truth) -> tuple[Mesh, int]:
     opposed : int
         Triangles that still oppose the mean normal of their corners: slivers and folds.
     """
-    a, b, c = (mesh.points[mesh.triangles[:, i]] for i in range(3))
-    area = np.cross(b - a, c - a)  # (f, 3)
-    normal = np.zeros_like(area)
+    a, b, c = (mesh.points.take(mesh.triangles[:, i], 0) for i in range(3))
+    (ux, uy, uz), (vx, vy, vz) = (b - a).T, (c - a).T
+    normal = np.zeros_like(a)
+    known = np.nan_to_num(truth.normal)
     for i in range(3):
-        normal += np.nan_to_num(truth.normal[mesh.pairs(mesh.patch, mesh.triangles[:, i])])
-    agreement = np.einsum("ij,ij->i", area, normal)  # (f,)
+        normal += known.take(mesh.pairs(mesh.patch, mesh.triangles[:, i]), 0)
+    x, y, z = normal.T
+    # (f,) along the triangle's own normal
+    agreement = (uy * vz - uz * vy) * x + (uz * vx - ux * vz) * y + (ux * vy - uy * vx) * z
     votes = np.bincount(mesh.patch, weights=agreement)
     turn = votes[mesh.patch] < 0
     triangles = mesh.triangles.copy()

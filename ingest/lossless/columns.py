@@ -33,12 +33,12 @@ def rows_table(table: Table, model_id: int, rows: Sequence[Mapping[str, Any]]) -
     """
     known = {column.name for column in table.columns}
     for row in rows:
-        if unknown := row.keys() - known:
-            raise KeyError(f"table {table.name} has no column {sorted(unknown)}")
+        if not row.keys() <= known:
+            raise KeyError(f"table {table.name} has no column {sorted(row.keys() - known)}")
     columns: dict[str, Any] = {
-        column.name: column_array(column.type, [row.get(column.name) for row in rows])
+        name: column_array(column.type, [row.get(name) for row in rows])
         for column in table.columns
-        if column.name != "model_id"
+        if (name := column.name) != "model_id"
     }
     return table.from_columns({"model_id": np.full(len(rows), model_id), **columns})
 

@@ -80,22 +80,21 @@ class ShapeGraph:
         """Return the row in ``shapes`` of a shape of the model, wherever it is placed."""
         return self._shapes.find(shape.TShape())
 
-    def pcurve(self, edge: Any, face: Any) -> PcurveUse:
+    def pcurve(self, edge: Any, surface: Any, location: Any) -> PcurveUse:
         """Return the stored pcurve of an edge as a face uses it.
 
         Parameters
         ----------
         edge : TopoDS_Edge
-            Oriented as in `face`; on a seam this decides between its two pcurves.
-        face : TopoDS_Face
-            Oriented forward.
+            Oriented as in the face that is oriented forward; on a seam this decides between its
+            two pcurves.
+        surface : Geom_Surface
+            The face's.
+        location : TopLoc_Location
+            Where the face has it.
         """
-        from OCP.BRep import BRep_Tool
         from OCP.TopAbs import TopAbs_Orientation
-        from OCP.TopLoc import TopLoc_Location
 
-        location = TopLoc_Location()
-        surface = BRep_Tool.Surface_s(face, location)
         location = location.Predivided(edge.Location())
         for row, stored in self._edge_curves[self.number(edge)]:
             if stored.IsCurveOnSurface(surface, location):
