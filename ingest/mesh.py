@@ -66,15 +66,38 @@ class Mesh:
     uv: _Floats
 
     def pairs(self, patch: _Ints, vertex: _Ints) -> _Ints:
-        """Return the index of each pair (patch, vertex), which must exist."""
-        span = len(self.points)
-        only = np.empty(span, dtype=np.int64)  # index of a vertex' pair, if it is one alone
-        only[self.pair_vertex] = np.arange(len(self.pair_vertex))
-        found = only.take(vertex)
+        """Return the index of each pair (patch, vertex).
+
+        Raises
+        ------
+        LookupError
+            If there is no such pair.
+        """
+        found = self._find(patch, vertex)
+        if (found < 0).any():
+            at = int(np.flatnonzero(found < 0)[0])
+            raise LookupError(f"vertex {vertex[at]} has no parameters on patch {patch[at]}")
+        return found
+
+    def _find(self, patch: _Ints, vertex: _Ints) -> _Ints:
+        """Return the index of each pair, -1 where there is none."""
+        span, count = len(self.points), len(self.pair_vertex)
+        found = np.zeros(span, dtype=np.int64)  # of a vertex that is on one patch alone: its pair
+        found[self.pair_vertex] = np.arange(count)
+        found = found.take(vertex)
         several = np.flatnonzero((np.bincount(self.pair_vertex, minlength=span) > 1).take(vertex))
         keys = self.pair_patch * span + self.pair_vertex
-        found[several] = np.searchsorted(keys, patch[several] * span + vertex[several])
-        return found
+        at = np.searchsorted(keys, patch[several] * span + vertex[several])
+        found[several] = np.minimum(at, count - 1)
+        there = (self.pair_patch.take(found) == patch) & (self.pair_vertex.take(found) == vertex)
+        return np.where(there, found, -1)
+
+    def unpaired(self) -> tuple[_Ints, _Ints]:
+        """Return patch and vertex ``(k,)`` of triangles' corners that are no pair yet."""
+        patch, vertex = np.repeat(self.patch, 3), self.triangles.ravel()
+        lost = self._find(patch, vertex) < 0
+        keys = np.unique(patch[lost] * len(self.points) + vertex[lost])
+        return keys // len(self.points), keys % len(self.points)
 
     def with_used_pairs(self) -> Mesh:
         """Return the mesh with just the pairs that some triangle uses, in ascending order."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from breplake.errors import InputError
 from breplake.ingest.brep import Brep
 from breplake.ingest.clock import KERNEL
 from breplake.ingest.failure import advise
-from breplake.ingest.kernel import GmshModel
+from breplake.ingest.kernel import GmshModel, groups
 from breplake.ingest.mesh import CurveNodes, Mesh
 from breplake.ingest.settings import Settings
 from breplake.ingest.watch import watched
@@ -104,14 +105,34 @@ class _Extract:
         for corner_id, node in enumerate(self.corner_nodes):
             if node >= 0 and number[node] >= 0:
                 corner[number[node]] = corner_id
-        return Mesh(
+        mesh = Mesh(
             self.points[order],
             number[triangles],
             patch,
             corner,
             self._curves(number),
             *self._pairs(number),
-        ).with_used_pairs()
+        )
+        return self._completed(mesh).with_used_pairs()
+
+    def _completed(self, mesh: Mesh) -> Mesh:
+        """Add the parameters of vertices inside patches that Gmsh does not list there.
+
+        They lie on curves that bound nothing. Gmsh projects them.
+        """
+        patch, vertex = mesh.unpaired()
+        uv = np.empty((len(patch), 2))
+        for patch_id, rows in groups(patch):
+            points = mesh.points[vertex[rows]].ravel()
+            with KERNEL():
+                found = self.model.gmsh.model.getParametrization(2, patch_id + 1, points)
+            uv[rows] = np.reshape(found, (-1, 2))
+        return replace(
+            mesh,
+            pair_patch=np.concatenate([mesh.pair_patch, patch]),
+            pair_vertex=np.concatenate([mesh.pair_vertex, vertex]),
+            uv=np.concatenate([mesh.uv, uv]),
+        )
 
     def _triangles(self) -> tuple[_Ints, _Ints]:
         blocks, owners = [], []
@@ -173,12 +194,14 @@ class _Extract:
         return curves
 
     def _pairs(self, number: _Ints) -> tuple[_Ints, _Ints, _Floats]:
+        """Return patch, vertex and parameters of what Gmsh lists in each patch, in order."""
         patches, vertices, parameters = [], [], []
         for patch_id in range(len(self.brep.faces)):
             with KERNEL():
                 tags, _, uv = self.api.getNodes(2, patch_id + 1, includeBoundary=True)
             # Seam and corner nodes come more than once; the first is as good as the others.
             unique, first = np.unique(number[np.asarray(tags, dtype=np.int64)], return_index=True)
+            unique, first = unique[unique >= 0], first[unique >= 0]  # those of some triangle
             patches.append(np.full(len(unique), patch_id, dtype=np.int64))
             vertices.append(unique)
             parameters.append(np.reshape(uv, (-1, 2))[first])

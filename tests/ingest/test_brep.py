@@ -158,6 +158,12 @@ def test_curve_inside_a_patch(ingest_shape):
     assert len(inner) == 1
     assert (inner[0]["n_patches"], inner[0]["left_patch"]) == (1, None)
     assert len(inner[0]["vert_indices"]) > 2
+    # Gmsh lists its vertices in no patch, and they have parameters all the same
+    vertices, faces = (record.tables[name] for name in ("vertices", "faces"))
+    of_pair = vertices["vertex_id"].to_numpy()
+    for i in range(3):
+        np.testing.assert_array_equal(of_pair[faces[f"n{i}"].to_numpy()], faces[f"v{i}"].to_numpy())
+    assert max(vertices["residual"].to_pylist()) < 1e-12
 
 
 def test_face_with_its_wire_the_wrong_way_round(ingest_shape):
