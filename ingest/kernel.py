@@ -9,6 +9,8 @@ from __future__ import annotations
 import io
 import math
 import re
+import signal
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -64,6 +66,9 @@ def gmsh_session() -> Iterator[Any]:
     import gmsh
 
     gmsh.initialize(readConfigFiles=False, interruptible=False)
+    if threading.current_thread() is threading.main_thread():
+        # Gmsh lets a closed pipe or connection end the process, which Python does not.
+        signal.signal(signal.SIGPIPE, signal.getsignal(signal.SIGPIPE))
     try:
         for name, value in _OPTIONS.items():
             gmsh.option.setNumber(name, value)

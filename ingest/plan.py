@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
 
 from breplake.errors import UsageError
 from breplake.ingest.failure import CHANGED, KINDS
@@ -128,51 +131,35 @@ def plan(
         Ids that would stand for archives and rows of lists that are in order, if they were not.
     """
     redo = redo or Redo()
-    new: list[Input] = []
-    unchanged: list[Input] = []
-    changed: list[Input] = []
-    unread: list[Input] = []
-    failed: list[Input] = []
-    again: set[int] = set()
-    models: set[int] = set()
-    for item, (is_known, is_same, is_complete, only_failed, kinds) in zip(
-        inputs, _states(store, inputs, settings.config_hash), strict=True
-    ):
-        retried = redo.failed and (not redo.kinds or bool(set(redo.kinds) & set(kinds or ())))
-        if not is_known:
-            new.append(item)
-            continue
-        if not only_failed:
-            models.add(item.model_id)
-        if not only_failed and (item.failure is not None or item.sha256 is None):
-            unread.append(item)
-        elif not is_same:
-            changed.append(item)
-            # Of what only failed before there is nothing to lose: a file that was repaired since,
-            # or a download that comes now. One that changed in mid-run was promised another try.
-            is_promised = CHANGED[1] in (kinds or ())
-            if redo.changed or (only_failed and (retried or is_promised)):
-                again.add(item.model_id)
-        else:
-            unchanged.append(item)
-            if not is_complete:
-                failed.append(item)
-                if retried:
-                    again.add(item.model_id)
-    fresh = {item.model_id for item in new}
-    todo = [item for item in inputs if item.model_id in fresh or item.model_id in again]
+    state = _states(store, inputs, settings.config_hash, redo.kinds)
+    has_failed_kind = state["has_kind"] if redo.kinds else np.ones(len(inputs), dtype=bool)
+    retried = redo.failed & has_failed_kind
+    is_model = state["is_known"] & ~state["only_failed"]
+    unreadable = np.fromiter((item.failure or not item.sha256 for item in inputs), bool)
+    unread = is_model & unreadable
+    changed = state["is_known"] & ~unread & ~state["is_same"]
+    unchanged = state["is_known"] & ~unread & state["is_same"]
+    failed = unchanged & ~state["is_complete"]
+    # Of what only failed before there is nothing to lose: a file that was repaired since, or a
+    # download that comes now. One that changed in mid-run was promised another try.
+    harmless = state["only_failed"] & (retried | state["is_promised"])
+    again = (changed & (redo.changed | harmless)) | (failed & retried)
+
+    def chosen(which: npt.NDArray[np.bool_]) -> list[Input]:
+        return [inputs[i] for i in np.flatnonzero(which).tolist()]
+
     return Plan(
         list(inputs),
-        new,
-        unchanged,
-        changed,
-        unread,
-        failed,
-        todo,
-        frozenset(again),
-        frozenset(again & models),
-        redo.failed,
-        _failed_before(store, whole),
+        new=chosen(~state["is_known"]),
+        unchanged=chosen(unchanged),
+        changed=chosen(changed),
+        unread=chosen(unread),
+        failed=chosen(failed),
+        todo=chosen(~state["is_known"] | again),
+        redone=frozenset(item.model_id for item in chosen(again)),
+        models=frozenset(item.model_id for item in chosen(again & is_model)),
+        retried=redo.failed,
+        settled=_failed_before(store, whole),
     )
 
 
@@ -185,12 +172,13 @@ def _failed_before(store: LakeStore, ids: Collection[int]) -> frozenset[int]:
 
 
 def _states(
-    store: LakeStore, inputs: Sequence[Input], config_hash: str
-) -> Iterable[tuple[bool, bool, bool, bool, list[str] | None]]:
-    """Return what the newest snapshot knows of each input, in their order.
+    store: LakeStore, inputs: Sequence[Input], config_hash: str, kinds: Sequence[str]
+) -> dict[str, npt.NDArray[np.bool_]]:
+    """Return what the newest snapshot knows of each input, ``(n,)`` each, in their order.
 
-    Whether it has the input, of the same bytes and settings, with a mesh, whether as a failure
-    only, and the kinds of its failures. By columns: a lake may hold a million models.
+    Whether it has the input, of the same bytes and settings, with a mesh; whether as a failure
+    only, with one of `kinds`, or one that was promised another try. By columns: a lake may hold a
+    million models.
     """
     import polars as pl
 
@@ -204,25 +192,28 @@ def _states(
     models = _scan(store, "models", "mesh_kind")
     failures = _scan(store, "failures", "kind").group_by("model_id", maintain_order=True)
     known = models.join(
-        failures.agg(pl.col("sha256", "config_hash").last(), pl.col("kind")),
+        failures.agg(
+            pl.col("sha256", "config_hash").last(),
+            has_kind=pl.col("kind").is_in(list(kinds)).any(),
+            is_promised=(pl.col("kind") == CHANGED[1]).any(),
+        ),
         on="model_id",
         how="full",
         coalesce=True,
         suffix="_failed",
     )
+    only_failed = pl.col("config_hash").is_null()
+    sha256 = pl.when(only_failed).then("sha256_failed").otherwise("sha256")
+    settings = pl.coalesce("config_hash", "config_hash_failed")
     state = asked.join(known, on="model_id", how="left", maintain_order="left").select(
-        pl.coalesce("config_hash", "config_hash_failed").is_not_null(),
-        (
-            pl.coalesce("config_hash", "config_hash_failed").eq(config_hash)
-            & pl.when(pl.col("config_hash").is_null())
-            .then(pl.col("sha256_failed").eq_missing(pl.col("asked")))
-            .otherwise(pl.col("sha256").eq_missing(pl.col("asked")))
-        ).alias("is_same"),
-        pl.col("mesh_kind").is_not_null(),
-        pl.col("config_hash").is_null().alias("only_failed"),
-        pl.col("kind"),
+        is_known=settings.is_not_null(),
+        is_same=settings.eq(config_hash).fill_null(False) & sha256.eq_missing(pl.col("asked")),
+        is_complete=pl.col("mesh_kind").is_not_null(),
+        only_failed=only_failed,
+        has_kind=pl.col("has_kind").fill_null(False),
+        is_promised=pl.col("is_promised").fill_null(False),
     )
-    return state.collect().iter_rows()
+    return {column.name: column.to_numpy() for column in state.collect()}
 
 
 def _scan(store: LakeStore, table: str, more: str) -> pl.LazyFrame:
