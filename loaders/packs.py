@@ -196,7 +196,9 @@ class PackedClouds:
             )
         self.seed = seed
         self.model_ids: npt.NDArray[np.int64] = models.column("model_id").to_numpy()
-        self._names = models.column("name").combine_chunks()
+        names = models.column("name").combine_chunks().dictionary_encode()
+        self._names: list[str] = names.dictionary.to_pylist()
+        self._name_of: npt.NDArray[np.int32] = names.indices.to_numpy()  # (len,)
         self._runs: tuple[int, npt.NDArray[np.int64]] | None = None
         self._buffers = Buffers()
 
@@ -213,7 +215,7 @@ class PackedClouds:
 
     def label(self, index: int) -> str:
         """Return what a message calls sample `index`: its model's name and id."""
-        return f"model {self._names[index].as_py()} ({int(self.model_ids[index])})"
+        return f"model {self._names[self._name_of[index]]} ({int(self.model_ids[index])})"
 
     def __getitem__(self, index: int) -> CloudBatch:
         """Return one cloud of epoch 0 as a batch of one."""
@@ -248,7 +250,7 @@ class PackedClouds:
         return CloudBatch(
             **{name: values.get(name) for name in FIELDS},  # type: ignore[arg-type]  # a pack has positions
             model_id=torch.from_numpy(self.model_ids[indices]),
-            name=tuple(self._names.take(indices).to_pylist()),
+            name=tuple([self._names[i] for i in self._name_of[indices].tolist()]),
             snapshot=self.snapshot,
         )
 

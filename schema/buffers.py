@@ -16,7 +16,7 @@ _KEPT: Final = 8
 """Blocks of one size that are kept: as many batches as are usually on their way."""
 
 _OWN: Final = 3
-"""References to memory that nobody holds: the list's, the loop's and the question's."""
+"""References to memory that nobody holds: the pair's, the loop's and the question's."""
 
 _ALIGNED: Final = 64
 """Bytes: to copy from the start of a page to an address 16 bytes after one, where large blocks of
@@ -32,7 +32,7 @@ class Buffers:
     """
 
     def __init__(self) -> None:
-        self._blocks: dict[int, list[npt.NDArray[np.uint8]]] = {}
+        self._blocks: dict[int, list[tuple[npt.NDArray[np.uint8], int]]] = {}
         self._lock = threading.Lock()
 
     def __reduce__(self) -> tuple[type[Buffers], tuple[()]]:
@@ -42,17 +42,20 @@ class Buffers:
         """Return an array of any content, as ``numpy.empty`` does."""
         size = math.prod(shape) * dtype.itemsize
         with self._lock:
-            block = self._free(size)
-        start = -block.ctypes.data % _ALIGNED
+            block, start = self._free(size)
         return block[start : start + size].view(dtype).reshape(shape)
 
-    def _free(self, size: int) -> npt.NDArray[np.uint8]:
-        """Return memory that nobody holds; arrays made of it hold the block itself."""
+    def _free(self, size: int) -> tuple[npt.NDArray[np.uint8], int]:
+        """Return memory that nobody holds, and where in it to begin.
+
+        Arrays made of it hold the block itself.
+        """
         kept = self._blocks.setdefault(size, [])
-        for block in kept:
+        for block, start in kept:
             if sys.getrefcount(block) <= _OWN:
-                return block
+                return block, start
         fresh = np.empty(size + _ALIGNED, np.uint8)
+        start = -fresh.ctypes.data % _ALIGNED
         if len(kept) < _KEPT:
-            kept.append(fresh)
-        return fresh
+            kept.append((fresh, start))
+        return fresh, start

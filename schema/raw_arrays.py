@@ -95,18 +95,18 @@ class RawArray:
         LakeFormatError
             If a file is missing or short.
         """
-        if len(rows) and not 0 <= rows.min() <= rows.max() < self.shape[0]:
+        # seen as unsigned, negative ones are large: one look at the rows instead of two
+        if len(rows) and rows.view(np.uint64).max() >= self.shape[0]:
             raise IndexError(f"rows must be 0 to {self.shape[0] - 1}")
         size = self.shape[1]
         wanted = size if length is None else length
         shape = (len(rows), wanted, *self.shape[2:])
         out = buffers.empty(shape, self.dtype) if buffers else np.empty(shape, self.dtype)
         if starts is None:
-            numbers, places = np.divmod(rows, self._rows)
-            if len(rows) and (numbers == numbers[0]).all():
+            number, places = self._in_one_file(rows)
+            if number is not None:
                 # one call for all; clipping, which has nothing to do, writes without a buffer
-                whole = self._file(int(numbers[0]))[:, :wanted]
-                np.take(whole, places, axis=0, out=out, mode="clip")
+                self._file(number)[:, :wanted].take(places, axis=0, out=out, mode="clip")
                 return out
             for place, row in zip(out, rows.tolist(), strict=True):
                 place[...] = self._row(row)[:wanted]
@@ -117,6 +117,13 @@ class RawArray:
             place[:first] = values[start : start + first]
             place[first:] = values[: wanted - first]
         return out
+
+    def _in_one_file(self, rows: npt.NDArray[np.int64]) -> tuple[int | None, npt.NDArray[np.int64]]:
+        """Return the file that holds all `rows`, if one does, and their places in files."""
+        if self._rows >= self.shape[0]:
+            return 0, rows
+        numbers, places = np.divmod(rows, self._rows)
+        return int(numbers[0]) if len(rows) and (numbers == numbers[0]).all() else None, places
 
     def _row(self, row: int) -> npt.NDArray[Any]:
         number, place = divmod(row, self._rows)
