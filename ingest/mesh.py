@@ -156,7 +156,7 @@ def edge_lengths(points: _Floats, edges: _Ints) -> _Floats:
 
 
 def lengths_of(vectors: _Floats) -> _Floats:
-    """Return the lengths ``(n,)`` of vectors ``(n, 3)``, in a fifth of the time of NumPy's norm."""
+    """Return the lengths ``(n,)`` of vectors ``(n, 3)``; NumPy's norm reduces row by row."""
     x, y, z = vectors.T
     lengths: _Floats = np.sqrt(x * x + y * y + z * z)
     return lengths

@@ -132,11 +132,10 @@ def plan(
     """
     redo = redo or Redo()
     state = _states(store, inputs, settings.config_hash, redo.kinds)
-    has_failed_kind = state["has_kind"] if redo.kinds else np.ones(len(inputs), dtype=bool)
-    retried = redo.failed & has_failed_kind
+    retried = redo.failed & (state["has_kind"] | (not redo.kinds))
     is_model = state["is_known"] & ~state["only_failed"]
-    unreadable = np.fromiter((item.failure or not item.sha256 for item in inputs), bool)
-    unread = is_model & unreadable
+    readable = (item.failure is None and item.sha256 is not None for item in inputs)
+    unread = is_model & ~np.fromiter(readable, bool, len(inputs))
     changed = state["is_known"] & ~unread & ~state["is_same"]
     unchanged = state["is_known"] & ~unread & state["is_same"]
     failed = unchanged & ~state["is_complete"]
