@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import re
+import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
@@ -23,6 +24,9 @@ __all__ = ["Batched", "Loader", "fetch", "settle"]
 
 _STATE: Final = 1
 """Version of the state."""
+
+_THREADS: Final = "breplake-loader"
+"""What names of threads begin with that read."""
 
 
 class Batched(Protocol):
@@ -259,8 +263,12 @@ class Loader:
                     yield self._pinned(waiting.popleft().result())
             while waiting:
                 yield self._pinned(waiting.popleft().result())
-        finally:  # who leaves early may close the lake: nothing reads after this
-            wait([batch for batch in waiting if not batch.cancel()])
+        finally:
+            running = [batch for batch in waiting if not batch.cancel()]
+            # Who leaves early may close the lake or fork, so nothing reads after this; but the
+            # garbage collector may end this in a thread that reads: none waits for itself.
+            if not threading.current_thread().name.startswith(_THREADS):
+                wait(running)
 
     def _living_threads(self) -> ThreadPoolExecutor:
         """Return the threads that read; they live on, as new ones would bring memory of their own.
@@ -269,7 +277,7 @@ class Loader:
         """
         pid, pool = self._readers or (0, None)
         if pool is None or pid != os.getpid():
-            pool = ThreadPoolExecutor(self.threads, "breplake-loader")
+            pool = ThreadPoolExecutor(self.threads, _THREADS)
             self._readers = os.getpid(), pool
         return pool
 

@@ -373,6 +373,29 @@ def test_threads_live_on_and_a_copy_starts_its_own(clouds):
     assert answers.get()
 
 
+def test_an_iteration_may_end_in_a_thread_that_reads(clouds):
+    """The garbage collector ends a forgotten one in whatever thread it happens to run."""
+
+    class Ending(PointCloudDataset):
+        drawn = 0
+
+        def draw(self, model, number, epoch):
+            self.drawn += 1
+            if self.drawn == 6:  # the second batch is read, of an iteration that is let go
+                go.wait(60)
+                forgotten.pop().close()
+                closed.set()
+            return super().draw(model, number, epoch)
+
+    go, closed, forgotten = threading.Event(), threading.Event(), []
+    loader = Loader(Ending(clouds.meshes, 6, per_model=11), 5, threads=1)
+    forgotten.append(iter(loader))
+    next(forgotten[0])
+    go.set()
+    assert closed.wait(20)
+    assert len(epoch(loader)) == 9
+
+
 def test_mistakes(clouds):
     for wrong in ({"workers": -1}, {"threads": -1}, {"prefetch": 0}, {"rank": 0}, {"ranks": 2}):
         with pytest.raises(UsageError):
